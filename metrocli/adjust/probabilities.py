@@ -11,6 +11,8 @@ import math
 _STEPS = 10_000
 """Most terms of a series or a continued fraction; the square root of the degrees of freedom is enough"""
 _SMALL = 1e-300
+_MANY = 1e6
+"""Degrees of freedom above which t is the normal distribution and a term; its own functions lose digits there"""
 _STILL = 1e-14
 """Relative change below which an iteration ends"""
 _ROUNDED = 1e-9
@@ -103,6 +105,8 @@ def student_bound(dof: float, tail: float) -> float:
     value, before = normal_bound(tail), math.inf
     if math.isinf(value):
         return value
+    if dof > _MANY:
+        return value + (value**3 + value) / (4 * dof)  # formula 26.7.5 there
     constant = math.lgamma((dof + 1) / 2) - math.lgamma(dof / 2) - math.log(dof * math.pi) / 2
     for _ in range(100):
         chance = student_tail(dof, value)
@@ -119,6 +123,8 @@ def student_tail(dof: float, value: float) -> float:
     """Return the probability that Student's t with `dof` degrees of freedom exceeds `value` (formula 26.7.1 there)."""
     if value < 0:
         return 1 - student_tail(dof, -value)
+    if dof > _MANY:  # formula 26.7.8 there
+        return math.erfc(value * (1 - 1 / (4 * dof)) / math.sqrt(2 + value * value / dof)) / 2
     return _beta(dof / 2, 0.5, dof / (dof + value * value)) / 2
 
 

@@ -75,6 +75,8 @@ def propagate(models: Mapping[str, Expression], inputs: Inputs) -> Propagated:
     return Propagated(attempts, slopes @ inputs.covariance @ slopes.T)
 
 
+_HEAVY = 4.0
+"""Degrees of freedom of a t distribution up to which the variance of a sample depends on chance"""
 _ROUNDING = 1e-14
 """Contributions below this share of the value are rounding errors of derivatives that cancel"""
 
@@ -154,14 +156,14 @@ def effective_dof(inputs: Inputs, slopes: Array) -> tuple[float, tuple[str, ...]
 def t_std(inputs: Inputs, slopes: Array) -> float:
     """Return the standard deviation of a linear model whose contributions with few dof have t distributions.
 
-    The variance of a t distribution is `dof/(dof - 2)` times that of its scale, and infinite up to 2.
+    The variance of a t distribution is `dof/(dof - 2)` times that of its scale; up to 4 dof that of trials has no bound.
     """
     total = 0.0
     for group in inputs.groups:
         part = slopes[list(group)]
         variance = float(part @ inputs.covariance[np.ix_(group, group)] @ part)
         dof = min((inputs.quantities[i].dof for i in group), default=math.inf)
-        wider = 1.0 if math.isinf(dof) else dof / (dof - 2) if dof > 2 else math.inf
+        wider = 1.0 if math.isinf(dof) else dof / (dof - 2) if dof > _HEAVY else math.inf
         total += variance * wider if variance > 0 else 0.0
     return math.sqrt(total)
 

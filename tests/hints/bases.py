@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
+from simulated.network import network
 
 Array = npt.NDArray[np.float64]
 F, CENTRE = 690.0, np.array([325.0, 233.0])
@@ -60,15 +61,6 @@ output: r.h5
     "lengths.csv": "point,tracer,length_mm\nP,A,1000.3\nP,B,999.8\nP,C,1000.1\nP,D,1000.2\nP,E,1000.4\n",
 }
 
-LEVELLED = """metrocli: 1
-job: adjust-network
-inputs: {readings: readings.csv, stations: stations.csv, heights: heights.csv}
-instruments:
-  TS: {type: total-station, noise: {azimuth: 3 arcsec, elevation: 3 arcsec, distance: {constant: 1 mm}}}
-noise: {height: 0.3 mm}
-output: net.h5
-"""
-
 BUDGET = """metrocli: 1
 job: report-uncertainty
 quantities:
@@ -116,7 +108,11 @@ def two_cameras() -> dict[str, str]:
         for side in ("left", "right")
     )
     lens = "camera: {image_size: [640, 480], pixel_size: 6 um, estimate: [f, cx, cy, k1, k2]}\n"
-    return {**board(), "observations.csv": "\n".join(lines) + "\n", "job.yaml": _JOB.replace(lens, f"cameras:\n{cameras}")}
+    return {
+        **board(),
+        "observations.csv": "\n".join(lines) + "\n",
+        "job.yaml": _JOB.replace(lens, f"cameras:\n{cameras}"),
+    }
 
 
 PART = """surfaces:
@@ -161,9 +157,11 @@ def box(size: Array, sense: int = 1) -> str:
             quad = corners[list(order)][::sense]
             faces += [quad[[0, 1, 2]], quad[[0, 2, 3]]]
     facet = "facet normal 0 0 0\nouter loop\n{}endloop\nendfacet\n"
-    return "solid box\n" + "".join(
-        facet.format("".join(f"vertex {x:g} {y:g} {z:g}\n" for x, y, z in face)) for face in faces
-    ) + "endsolid box\n"
+    return (
+        "solid box\n"
+        + "".join(facet.format("".join(f"vertex {x:g} {y:g} {z:g}\n" for x, y, z in face)) for face in faces)
+        + "endsolid box\n"
+    )
 
 
 def points_at_rest() -> dict[str, str]:
@@ -171,7 +169,10 @@ def points_at_rest() -> dict[str, str]:
     rng = np.random.default_rng(6)
     at = np.array(np.meshgrid(*[np.linspace(0, 400, 4)] * 3, indexing="ij")).reshape(3, -1).T
     seen = (at * [1 + 2e-5, 1 - 3e-5, 1.0]) @ turned(0.1, 0.2, 0.7).T + [900.0, 300, 50] + rng.normal(0, 2e-3, at.shape)
-    rows = (f"P{n},{x:g},{y:g},{z:g},{a:.4f},{b:.4f},{c:.4f}" for n, ((x, y, z), (a, b, c)) in enumerate(zip(at, seen, strict=True)))
+    rows = (
+        f"P{n},{x:g},{y:g},{z:g},{a:.4f},{b:.4f},{c:.4f}"
+        for n, ((x, y, z), (a, b, c)) in enumerate(zip(at, seen, strict=True))
+    )
     axes = ", ".join(f"{axis}: {{range: [0 mm, 400 mm], knots: 2}}" for axis in "xyz")
     job = (
         f"metrocli: 1\njob: calibrate-machine\nmethod: standstill\nmachine:\n  chain: wXbYZt\n  axes: {{{axes}}}\n"
@@ -192,3 +193,8 @@ def charuco(folder: Path) -> None:
     pattern = "{type: charuco, columns: 7, rows: 5, pitch: 35 mm, marker_size: 24 mm, dictionary: 4x4_50}"
     job = f"metrocli: 1\njob: calibrate-camera\nrig: board\ninputs: {{images: view*.png}}\npattern: {pattern}\n"
     (folder / "job.yaml").write_text(f"{job}camera: {{estimate: [f, cx, cy]}}\nnoise: 0.1 px\noutput: camera.h5\n")
+
+
+def hall(folder: Path) -> None:
+    """Four stations that see 15 points, two interferometers, bars and heights."""
+    network(np.random.default_rng(51), 4, 15, mixed=True).write(folder)

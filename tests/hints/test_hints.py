@@ -55,7 +55,7 @@ def test_a_hint_appears_only_where_it_fits(
     row: Row, tmp_path: Path, metrocli: Metrocli, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    hint = re.compile(".{0,120}?".join(map(re.escape, row.hint.split("{}"))))
+    hint = re.compile(".{0,500}?".join(map(re.escape, row.hint.split("{}"))))
     provoked = shown(row, row.provoked, tmp_path / "provoked", metrocli)
     assert hint.search(provoked), provoked
     assert row.shows in provoked, provoked

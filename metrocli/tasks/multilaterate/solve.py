@@ -46,10 +46,7 @@ _ASTRAY = 0.05
 """A solution is wrong if the median point is farther from the mover's reading than this share of the volume"""
 _DOUBT = 0.05
 """Level of significance of the test of the remaining lengths at a point that lost some"""
-_NO_PLACES = (
-    "the adjustment ended in a wrong place, such as the mirror image; "
-    "give approximate places of the tracers in `inputs: tracers`"
-)
+_NO_PLACES = "the adjustment ended in a wrong place: give approximate places of the tracers in `inputs: tracers`"
 _PLACES = "lengths, points and tracers do not belong together (units, axes, names)"
 _DELAY = ", or all lengths share a large error, such as a delay: `effects: [{name: length-offset}]` estimates it"
 """Why points are far from their list: with and without listed places of all tracers, and if lengths are absolute"""
@@ -222,9 +219,15 @@ def _must_be_near(network: TracerNetwork, solution: Solution) -> None:
     away = np.linalg.norm(solution.blocks[t.POINT].values[seen] - network.nominal[seen], axis=1)
     middle = float(median(away))
     if middle > _ASTRAY * np.ptp(network.nominal[seen], axis=0).max() + _noise_of(network):
-        placed = _PLACES + _DELAY * network.absolute
-        why = placed if np.isfinite(network.listed_at).all() else _NO_PLACES
+        size = _size(solution.blocks[t.POINT].values[seen]) / _size(network.nominal[seen])
+        scaled = f"the points found are {size:.2g} times as far apart as those of the list: check units and scales"
+        placed = _PLACES + _DELAY * network.absolute if np.isfinite(network.listed_at).all() else _NO_PLACES
+        why = scaled if abs(size - 1) > _ASTRAY else placed
         raise NotConvergedError(f"the points found lie {middle:.3g} mm from their listed places (median): {why}")
+
+
+def _size(points: Array) -> float:
+    return float(np.linalg.norm(points - points.mean(axis=0)))
 
 
 def _noise_of(network: TracerNetwork) -> float:
