@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-from simulated.network import network
 
 Array = npt.NDArray[np.float64]
 F, CENTRE = 690.0, np.array([325.0, 233.0])
@@ -33,10 +32,10 @@ def image_points(places: Array, k1: float) -> Array:
 
 
 @cache
-def board(k1: float = -0.2, distance: float = 450.0) -> dict[str, str]:
+def board(k1: float = -0.2, distance: float = 450.0, relief: float = 0.0) -> dict[str, str]:
     """Eight tilted views of a board of 9 x 6 points, every second one turned by 90 degrees."""
     rng = np.random.default_rng(250)
-    points = np.array([[25.0 * i, 25.0 * j, 0.0] for j in range(6) for i in range(9)])
+    points = np.array([[25.0 * i, 25.0 * j, relief * (i * j % 4)] for j in range(6) for i in range(9)])
     names = [f"{chr(65 + j)}{i}" for j in range(6) for i in range(9)]
     lines = ["image,target,u_px,v_px"]
     for view in range(8):
@@ -190,11 +189,7 @@ def charuco(folder: Path) -> None:
     drawn = cv2.aruco.CharucoBoard((8, 6), 35.0, 24.0, dictionary).generateImage((480, 360), marginSize=30)
     for number, sigma in enumerate((0.8, 1.0)):
         cv2.imwrite(str(folder / f"view{number}.png"), cv2.GaussianBlur(drawn, (0, 0), sigma))
+    cv2.imwrite(str(folder / "blank.png"), np.full((360, 480), 128, np.uint8))
     pattern = "{type: charuco, columns: 7, rows: 5, pitch: 35 mm, marker_size: 24 mm, dictionary: 4x4_50}"
     job = f"metrocli: 1\njob: calibrate-camera\nrig: board\ninputs: {{images: view*.png}}\npattern: {pattern}\n"
     (folder / "job.yaml").write_text(f"{job}camera: {{estimate: [f, cx, cy]}}\nnoise: 0.1 px\noutput: camera.h5\n")
-
-
-def hall(folder: Path) -> None:
-    """Four stations that see 15 points, two interferometers, bars and heights."""
-    network(np.random.default_rng(51), 4, 15, mixed=True).write(folder)

@@ -50,7 +50,12 @@ def shown(row: Row, edits: dict[str, Callable[[str], str]], folder: Path, metroc
     return " ".join(said.split())
 
 
-@pytest.mark.parametrize("row", ROWS, ids=lambda row: re.sub("[^a-z]+", "-", row.hint.lower())[:40])
+def case(row: Row) -> Any:
+    marks = (pytest.mark.slow,) if row.slow else ()
+    return pytest.param(row, id=re.sub("[^a-z]+", "-", row.hint.lower())[:40], marks=marks)
+
+
+@pytest.mark.parametrize("row", map(case, ROWS))
 def test_a_hint_appears_only_where_it_fits(
     row: Row, tmp_path: Path, metrocli: Metrocli, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -8,11 +8,11 @@ from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
-from hints.table import ROWS
+from hints.table import ELSEWHERE, ROWS
 
 import metrocli
 
-ROOT = Path(metrocli.__file__).parent
+ROOT, TESTS = Path(metrocli.__file__).parent, Path(__file__).parents[1]
 GUESS = re.compile(
     r"\byou mean\b|\b(is|are|was|were|do|does|did) [^?;:,]*\?(?= |$)|\bmirrored\?"  # a question
     r"|\b(would|they) (fit|lie|if)\b|\bfits? if\b|\bread so\b|(?<!such as )\bexchanged\b|\bswapped\b"
@@ -50,12 +50,17 @@ def guesses() -> dict[str, str]:
 
 
 def test_each_guess_has_a_row_in_the_table() -> None:
-    hints = {row.hint for row in ROWS}
+    hints = {row.hint for row in ROWS} | set(ELSEWHERE)
     assert not {
         text: name for text, name in guesses().items() if not any(hint in text or text in hint for hint in hints)
     }
 
 
-def test_each_row_is_of_a_message() -> None:
+def test_each_row_is_of_a_message_and_each_test_elsewhere_exists() -> None:
     texts = {text for path in ROOT.rglob("*.py") for text in messages(path)}
-    assert not {row.hint for row in ROWS if not any(row.hint in text for text in texts)}
+    hints = {row.hint for row in ROWS} | set(ELSEWHERE)
+    assert not {hint for hint in hints if not any(hint in text for text in texts)}
+    tests = {test for pair in ELSEWHERE.values() for test in pair}
+    assert not {
+        (file, name) for file, name in tests if f"def {name}(" not in (TESTS / file).read_text(encoding="utf-8")
+    }
