@@ -25,9 +25,9 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from simulated.features import cloud
 
 from metrocli.errors import NotConvergedError
-from metrocli.tasks.multilaterate.features.fit import FeatureFit, least_squares
-from metrocli.tasks.multilaterate.features.ideal import IdealFeature
-from metrocli.tasks.multilaterate.features.minimum_zone import minimum_zone
+from metrocli.tasks.shared.features.fit import FeatureFit, least_squares
+from metrocli.tasks.shared.features.ideal import IdealFeature
+from metrocli.tasks.shared.features.minimum_zone import minimum_zone
 
 Array = npt.NDArray[np.float64]
 ZONE, POINTS, MANY, FIRST = 0.005, 25, 1000, 2

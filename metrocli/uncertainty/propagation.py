@@ -156,7 +156,7 @@ def effective_dof(inputs: Inputs, slopes: Array) -> tuple[float, tuple[str, ...]
 def t_std(inputs: Inputs, slopes: Array) -> float:
     """Return the standard deviation of a linear model whose contributions with few dof have t distributions.
 
-    The variance of a t distribution is `dof/(dof - 2)` times that of its scale; up to 4 dof that of trials has no bound.
+    The variance of a t distribution is `dof/(dof - 2)` times that of its scale; up to 4 dof trials show no size of it.
     """
     total = 0.0
     for group in inputs.groups:

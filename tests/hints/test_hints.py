@@ -55,7 +55,7 @@ def case(row: Row) -> Any:
     return pytest.param(row, id=re.sub("[^a-z]+", "-", row.hint.lower())[:40], marks=marks)
 
 
-@pytest.mark.parametrize("row", map(case, ROWS))
+@pytest.mark.parametrize("row", [case(row) for row in ROWS])
 def test_a_hint_appears_only_where_it_fits(
     row: Row, tmp_path: Path, metrocli: Metrocli, monkeypatch: pytest.MonkeyPatch
 ) -> None:

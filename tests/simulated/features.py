@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from metrocli.tasks.multilaterate.features.ideal import IdealFeature
+from metrocli.tasks.shared.features.ideal import IdealFeature
 
 Array = npt.NDArray[np.float64]
 AXES = (np.array([1.0, 0, 0]), np.array([0, 0, 1.0]), np.array([0.36, 0.48, 0.8]))

@@ -1,7 +1,5 @@
-"""fit-points: points of one list laid onto those of another (best fit)."""
+"""fit-points: points of one list laid onto those of another (best fit), and features through points."""
 
 from metrocli.tasks.kind import Kind
 
-KIND = Kind(
-    "fit-points", "points laid onto points of the same names (best fit of 6 or 7 parameters)", measured=("points",)
-)
+KIND = Kind("fit-points", "points laid onto points (best fit), and features through points", measured=("points",))

@@ -20,6 +20,7 @@ from metrocli.errors import InputError, UndeterminedError
 from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.instruments.frames import OutOf, PointOf
+from metrocli.table import Table
 from metrocli.tasks.fit_points.settings import ESTIMATED, Files, Settings
 from metrocli.tasks.shared.lists import refuse, sigmas
 from metrocli.words import listed, nearest
@@ -74,6 +75,8 @@ class PointPairs:
     """0 is exact"""
     scale: bool
     noise: float | str
+    list: Table
+    """The list of measured points, also those that the nominal list lacks"""
     warnings: tuple[str, ...] = ()
 
     @property
@@ -147,6 +150,7 @@ def problem_of(settings: Settings, files: Files) -> PointPairs:
     Raises InputError for faults of the lists, UndeterminedError if fewer than three points are in both.
     """
     points, nominal = files.points, files.nominal
+    assert nominal is not None
     places = {name: i for i, name in enumerate(nominal.texts("point"))}
     names = points.texts("point")
     rows = [i for i, name in enumerate(names) if name in places]
@@ -165,6 +169,9 @@ def problem_of(settings: Settings, files: Files) -> PointPairs:
         both = np.zeros(len(points), dtype=bool)
         both[np.array(rows)[exact.all(axis=1)]] = True
         refuse(points, {text: both})
+    if "feature" in points:  # points of features need no place in the nominal list
+        free = {name for name, feature in zip(names, points.texts("feature"), strict=True) if feature}
+        alone = [name for name in alone[0] if name not in free], alone[1]
     warnings = tuple(
         f"{len(some)} points are in {where} only and are left out: {listed(some)}"
         for some, where in zip(alone, ("the list of measured points", "the nominal list"), strict=True)
@@ -181,6 +188,7 @@ def problem_of(settings: Settings, files: Files) -> PointPairs:
         of_nominal[of],
         settings.scale,
         settings.noise,
+        points,
         warnings,
     )
 

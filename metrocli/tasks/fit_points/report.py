@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -15,15 +15,19 @@ from metrocli.result import SCALE as ABOUT_ONE
 from metrocli.result import Estimate, Result, ShownTable
 from metrocli.table import Table
 from metrocli.tasks.fit_points import KIND
+from metrocli.tasks.fit_points.features import FeaturePoints, FittedFeatures, fitted_features, own_sigma
 from metrocli.tasks.fit_points.problem import POINT, POSE, SCALE, PointPairs
+from metrocli.tasks.shared.features.wanted import RequestedFeature
 from metrocli.tasks.shared.statistics import basic_statistics, noise_notes, noise_warnings, residual_table, with_noise
 from metrocli.words import listed
 
 _NOTABLE = 0.95
 """A mirror image is named that has so many times the deviations or fewer"""
+_RIGID = 6
+"""Unknowns of a transformation without a scale"""
 
 
-def report(problem: PointPairs, solution: Solution, mirrored: float) -> Result:
+def report(problem: PointPairs, solution: Solution, mirrored: float, wanted: Sequence[RequestedFeature] = ()) -> Result:
     """Return the result of a solved best fit; `mirrored` is the root mean square deviation of the mirror image [mm]."""
     estimated = problem.estimated
     factor = solution.sigma0 if estimated and solution.dof > 0 else 1.0
@@ -39,6 +43,7 @@ def report(problem: PointPairs, solution: Solution, mirrored: float) -> Result:
     tested = suspects(_merged(everything), FitQuality(solution.cost, solution.dof, not estimated))
     worst = _by_point(problem, tested, members)
     moved, std = _moved(problem, pose, scale, covariance, factor)
+    laid = _laid_features(problem, wanted, (pose, scale), covariance, factor)
     off = moved - problem.nominal
     change = np.eye(len(covariance))
     change[:6, :6] = poses.euler_form_by_step(pose)
@@ -60,24 +65,27 @@ def report(problem: PointPairs, solution: Solution, mirrored: float) -> Result:
         "dx dy dz [mm]": off,
         "d [mm]": distance,
     }
-    return Result(
+    tables = {
+        "points": Table.of(points),
+        "residuals": Table.stack(
+            [residual_table(residuals, group) for residuals, group in zip(read, groups, strict=True)]
+        ),
+        "suspects": Table.of({"point [text]": list(worst), "w": list(worst.values())}),
+    }
+    arrays = {"rotation": poses.rotation_of(pose)}
+    result = Result(
         kind=KIND.name,
         title="",
         estimates=tuple(estimates),
         covariance=of_euler,
         statistics=statistics,
-        tables={
-            "points": Table.of(points),
-            "residuals": Table.stack(
-                [residual_table(residuals, group) for residuals, group in zip(read, groups, strict=True)]
-            ),
-            "suspects": Table.of({"point [text]": list(worst), "w": list(worst.values())}),
-        },
-        arrays={"rotation": poses.rotation_of(pose)},
+        tables=tables,
+        arrays=arrays,
         warnings=tuple(_warnings(problem, solution, tested.critical, worst)),
         shown=(ShownTable("points"),),
         notes=tuple(_notes(problem, solution, size, mirrored)),
     )
+    return result if laid is None else laid.added_to(result, covariance @ change.T)
 
 
 def _merged(read: list[Residuals]) -> Residuals:
@@ -106,22 +114,41 @@ def _by_point(problem: PointPairs, suspected: Suspects, members: Index) -> dict[
     return worst
 
 
+def _turned(points: Array, pose: Array, scale: float, unknowns: int) -> tuple[Array, Array]:
+    """Return points after the transformation (n, 3), and their derivatives by its steps (n, 3, 6 or 7)."""
+    turned = scale * points @ poses.rotation_of(pose).T
+    slope = np.zeros((len(turned), 3, unknowns))
+    slope[:, :, :3] = np.eye(3)
+    x, y, z = turned.T
+    slope[:, 0, 4], slope[:, 0, 5], slope[:, 1, 3] = z, -y, -z
+    slope[:, 1, 5], slope[:, 2, 3], slope[:, 2, 4] = x, y, -x
+    if unknowns > _RIGID:
+        slope[:, :, _RIGID] = turned / scale
+    return turned + pose[:3], slope
+
+
 def _moved(problem: PointPairs, pose: Array, scale: float, covariance: Array, factor: float) -> tuple[Array, Array]:
     """Return the measured points after the transformation (n, 3), and their standard uncertainties.
 
     These are of the transformation at the point, and of the point itself where its list gives one.
     """
-    turned = scale * problem.measured @ poses.rotation_of(pose).T
-    slope = np.zeros((len(turned), 3, len(covariance)))
-    slope[:, :, :3] = np.eye(3)
-    x, y, z = turned.T
-    slope[:, 0, 4], slope[:, 0, 5], slope[:, 1, 3] = z, -y, -z
-    slope[:, 1, 5], slope[:, 2, 3], slope[:, 2, 4] = x, y, -x
-    if problem.scale:
-        slope[:, :, 6] = turned / scale
+    moved, slope = _turned(problem.measured, pose, scale, len(covariance))
     variance = np.einsum("nak,kl,nal->na", slope, covariance, slope)
     own = np.nan_to_num(problem.measured_sigma) ** 2 @ (poses.rotation_of(pose).T ** 2)
-    return turned + pose[:3], np.sqrt(variance + (scale * factor) ** 2 * own)
+    return moved, np.sqrt(variance + (scale * factor) ** 2 * own)
+
+
+def _laid_features(
+    problem: PointPairs, wanted: Sequence[RequestedFeature], at: tuple[Array, float], covariance: Array, factor: float
+) -> FittedFeatures | None:
+    """Return the features through the points after the transformation, or None if none are wanted."""
+    if not wanted:
+        return None
+    pose, scale = at
+    moved, slope = _turned(problem.list.stacked("xyz"), pose, scale, len(covariance))
+    turn = scale * factor * poses.rotation_of(pose)
+    own = turn @ (np.eye(3) * own_sigma(problem.list, problem.noise)[:, None, :] ** 2) @ turn.T
+    return fitted_features(wanted, FeaturePoints(problem.list, moved, own, slope, covariance))
 
 
 def _warnings(problem: PointPairs, solution: Solution, critical: float, worst: dict[str, float]) -> Iterator[str]:

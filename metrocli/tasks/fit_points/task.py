@@ -8,11 +8,13 @@ from metrocli.adjust.adjustment import adjust
 from metrocli.adjust.solution import Solution
 from metrocli.errors import InputError, NotConvergedError, UndeterminedError
 from metrocli.result import Result
+from metrocli.tasks.fit_points.features import features_alone
 from metrocli.tasks.fit_points.problem import PointPairs, problem_of
 from metrocli.tasks.fit_points.report import report
 from metrocli.tasks.fit_points.settings import Files, Settings
 from metrocli.tasks.fit_points.start import aligned_start, exchanged, mirrored_rms, rms, similarity
 from metrocli.tasks.job import Job, Task
+from metrocli.tasks.shared.features.wanted import wanted_features
 
 _MIRRORED = 10.0
 """A mirror image is refused that makes the deviations so many times smaller"""
@@ -20,14 +22,20 @@ _MIRRORED = 10.0
 
 def run(job: Job[Settings, Files]) -> Result:
     """Return the best fit; raises InputError, UndeterminedError or NotConvergedError."""
-    problem = problem_of(job.settings, job.files)
+    settings, points = job.settings, job.files.points
+    wanted = wanted_features(settings.features, points, "points")
+    if job.files.nominal is None:
+        return features_alone(wanted, points, settings.noise)
+    problem = problem_of(settings, job.files)
     mirrored = _of_the_mirror_image(problem)
-    return report(problem, solved(problem), mirrored)
+    return report(problem, solved(problem), mirrored, wanted)
 
 
 def check(job: Job[Settings, Files]) -> None:
     """Raise InputError that lists the faults of both lists, without computing."""
-    problem_of(job.settings, job.files)
+    wanted_features(job.settings.features, job.files.points, "points")
+    if job.files.nominal is not None:
+        problem_of(job.settings, job.files)
 
 
 def solved(problem: PointPairs) -> Solution:

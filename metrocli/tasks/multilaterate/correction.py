@@ -13,9 +13,10 @@ from metrocli.errors import InputError
 from metrocli.frozen import dataclass
 from metrocli.instruments import tracer as t
 from metrocli.table import Table
-from metrocli.tasks.multilaterate.probed.tips import ANY, Joint, Tips, tips_of
+from metrocli.tasks.multilaterate.probed.tips import ANY, Tips, tips_of
 from metrocli.tasks.multilaterate.problem import TracerNetwork
 from metrocli.tasks.multilaterate.settings import Correction, Files, Settings
+from metrocli.tasks.shared.features.joint import Joint
 from metrocli.tasks.shared.part import Part
 from metrocli.uncertainty.predicted import COMMON, CORE
 from metrocli.words import listed

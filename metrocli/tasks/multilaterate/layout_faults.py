@@ -109,7 +109,8 @@ def _strayed(network: TracerNetwork, solution: Solution) -> Iterator[str]:
     far = np.flatnonzero(gap > _span(network.listed_at))
     if far.size:
         places = listed([f"{tracers.members[i]} ({gap[i]:.3g} mm)" for i in far])
-        yield f"the lengths put tracers far from their listed places: {places}; lengths of one tracer are wrong, or a list"
+        cause = "lengths of one tracer are wrong, or a list"
+        yield f"the lengths put tracers far from their listed places: {places}; {cause}"
 
 
 def _three(network: TracerNetwork) -> str:

@@ -17,12 +17,12 @@ from metrocli.table import Table
 from metrocli.tasks.multilaterate import KIND, layout_faults
 from metrocli.tasks.multilaterate.blunders import Reason
 from metrocli.tasks.multilaterate.correction import Probing, corrected, distant, list_offset, wrong_entries
-from metrocli.tasks.multilaterate.features.report import FEATURES, SHOWN, exchanging, fitted
-from metrocli.tasks.multilaterate.features.wanted import RequestedFeature
 from metrocli.tasks.multilaterate.second_places import noise_of_tests
 from metrocli.tasks.multilaterate.solve import AdjustedTracers
 from metrocli.tasks.multilaterate.uncontrolled import scale_warnings, uncontrolled
 from metrocli.tasks.shared.environment import blocks_of, estimates_of
+from metrocli.tasks.shared.features.report import FEATURES, SHOWN, exchanging, fitted
+from metrocli.tasks.shared.features.wanted import RequestedFeature
 from metrocli.tasks.shared.joint_covariance import factors
 from metrocli.tasks.shared.lists import name_of
 from metrocli.tasks.shared.noise import NoiseFound
@@ -74,7 +74,7 @@ def report(
     if probing is not None:
         tables["corrected"], joint = corrected(solved.network, solution, probing, arrays, part)
         arrays["corrected_covariance"] = joint.each()
-        feature_tables, feature_arrays = fitted(features, tables["corrected"], joint)
+        feature_tables, feature_arrays, _ = fitted(features, tables["corrected"], joint)
         tables, arrays = tables | feature_tables, arrays | feature_arrays
     return Result(
         kind=KIND.name,

@@ -5,16 +5,16 @@ from __future__ import annotations
 from typing import Any
 
 from metrocli.frozen import dataclass
-from metrocli.settings import At, Choice, Either, LocatedValue, MapOf, Section, TableFile, WithUnit, setting
+from metrocli.settings import Choice, LocatedValue, Section, TableFile, WithUnit, setting
 from metrocli.settings.sections import content, inputs_of
 from metrocli.table import ABSENT, Columns, Table, columns
 from metrocli.tasks.shared.environment import WEATHER, Environment
+from metrocli.tasks.shared.features.settings import features_through
 from metrocli.tasks.shared.figures import adjusted
 from metrocli.tasks.shared.lengths import LengthNoise, Scale
 from metrocli.tasks.shared.lists import SIGMAS
 from metrocli.tasks.shared.part import FIGURES, Part
 
-SHAPES = ("line", "plane", "circle", "sphere", "cylinder", "cone")
 LENGTHS = Columns(
     (*columns("point tracer [text]", "length [length]", "t? [time]", "temp? [temperature]"), *WEATHER),
     ("point", "tracer", "t"),
@@ -100,16 +100,6 @@ class Correction:
 
 
 @dataclass(frozen=True)
-class Feature:
-    """An ideal feature to lay through the corrected points of a feature."""
-
-    shape: str = setting(Choice(*SHAPES), "the ideal shape")
-    fit: str = setting(
-        Choice("least-squares", "minimum-zone", "both"), "how it is laid through the points", default="least-squares"
-    )
-
-
-@dataclass(frozen=True)
 class Settings:
     """Find reflector positions from lengths, with the tracers' places, dead paths and scales (multilateration)."""
 
@@ -143,11 +133,7 @@ class Settings:
         "standard deviations of probed points, for the uncertainty of /corrected",
         default=Correction(),
     )
-    features: dict[str, LocatedValue] = setting(
-        MapOf(At(Either(Choice(*SHAPES), Section(Feature)))),
-        "ideal features through the corrected points, by the names in column `feature`",
-        default={},
-    )
+    features: dict[str, LocatedValue] = features_through("the corrected points")
     simulation: LengthSimulation | None = setting(
         Section(LengthSimulation), "the truth for `metrocli simulate`", default=None
     )

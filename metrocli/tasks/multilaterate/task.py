@@ -16,7 +16,6 @@ from metrocli.tasks.multilaterate.correction import list_offset, probing_of, ref
 from metrocli.tasks.multilaterate.diagnosis import adjusted_job, noise_of
 from metrocli.tasks.multilaterate.distance import distance
 from metrocli.tasks.multilaterate.effects import EFFECTS, PLACES
-from metrocli.tasks.multilaterate.features.wanted import wanted_features
 from metrocli.tasks.multilaterate.layout import PlannedNetwork, PlannedPoints
 from metrocli.tasks.multilaterate.plan import planned
 from metrocli.tasks.multilaterate.problem import build, network_of
@@ -25,6 +24,7 @@ from metrocli.tasks.multilaterate.report import report
 from metrocli.tasks.multilaterate.settings import Files, Settings
 from metrocli.tasks.multilaterate.simulation import simulated
 from metrocli.tasks.multilaterate.solve import solve
+from metrocli.tasks.shared.features.wanted import wanted_features
 from metrocli.tasks.shared.noise import weighed
 
 

@@ -153,7 +153,7 @@ def _other_axes(axes: tuple[Axis, ...], settings: Settings, result: Result) -> I
     letters = table.texts("axis")
     for axis in axes:
         if axis.letter not in letters:
-            yield Fault(f"the result has no {axis.letter}", _file(result), hint="give the result of the linear axes of this machine")
+            yield Fault(f"the result has no {axis.letter}", _file(result), hint="give that of the axes of this machine")
             continue
         low, high, knots = (table.columns[name][letters.index(axis.letter)] for name in ("low", "high", "knots"))
         if len(axis.knots) != knots or max(abs(axis.knots[0] - low), abs(axis.knots[-1] - high)) > _ALIKE:

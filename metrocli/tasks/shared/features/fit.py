@@ -10,7 +10,7 @@ import numpy as np
 from metrocli.arrays import Array, Index
 from metrocli.errors import NotConvergedError, UndeterminedError
 from metrocli.frozen import dataclass
-from metrocli.tasks.multilaterate.features.ideal import STEP, UNKNOWNS, Ideal, IdealFeature, tangents
+from metrocli.tasks.shared.features.ideal import STEP, UNKNOWNS, Ideal, IdealFeature, tangents
 
 _DIRECTIONS = 150
 """Directions of an axis, evenly over half the sphere"""

@@ -19,8 +19,9 @@ from metrocli.result import Result
 from metrocli.settings import KnownQuantity, LocatedValue
 from metrocli.table import Table
 from metrocli.tasks.multilaterate import task as multilaterate
-from metrocli.tasks.multilaterate.features.ideal import IdealFeature
-from metrocli.tasks.multilaterate.settings import SHAPES, Correction, Feature
+from metrocli.tasks.multilaterate.settings import Correction
+from metrocli.tasks.shared.features.ideal import IdealFeature
+from metrocli.tasks.shared.features.settings import SHAPES, Feature
 from metrocli.tasks.shared.part import Part
 
 BALLS = np.array([[150.0, 150.0, 100.0], [800.0, 420.0, 380.0]])
@@ -215,7 +216,7 @@ def test_faults_of_features_are_listed() -> None:
     with pytest.raises(InputError) as found:
         run(net, net.nominal[:28], [*names[:27], "C"], asked(a="sphere", C="plane"))
     assert [fault.message for fault in found.value.faults] == [
-        "features.a: no probing point is of feature 'a'",
+        "features.a: no point of `probing` is of feature 'a'",
         "features.C: feature 'C' has 1 points",
     ]
     assert [fault.hint for fault in found.value.faults] == ["did you mean 'A'?", "expected 3 or more for a plane"]

@@ -9,12 +9,13 @@ import numpy as np
 
 from metrocli.arrays import Array, Index
 from metrocli.errors import NotConvergedError, UndeterminedError
+from metrocli.result import Estimate
 from metrocli.table import Table
-from metrocli.tasks.multilaterate.features.fit import Criterion, FeatureFit, gradients, least_squares
-from metrocli.tasks.multilaterate.features.ideal import NUMBERS, IdealFeature
-from metrocli.tasks.multilaterate.features.minimum_zone import minimum_zone
-from metrocli.tasks.multilaterate.features.wanted import RequestedFeature
-from metrocli.tasks.multilaterate.probed.tips import Joint
+from metrocli.tasks.shared.features.fit import Criterion, FeatureFit, gradients, least_squares
+from metrocli.tasks.shared.features.ideal import NUMBERS, IdealFeature
+from metrocli.tasks.shared.features.joint import Joint
+from metrocli.tasks.shared.features.minimum_zone import minimum_zone
+from metrocli.tasks.shared.features.wanted import RequestedFeature
 from metrocli.words import listed
 
 FEATURES, POINTS, COVARIANCE = "features", "features_points", "features_covariance"
@@ -38,21 +39,23 @@ _WITHOUT = {
 
 def fitted(
     wanted: Sequence[RequestedFeature], corrected: Table, joint: Joint
-) -> tuple[dict[str, Table], dict[str, Array]]:
+) -> tuple[dict[str, Table], dict[str, Array], Array]:
     """Return the tables of features and of their points, and the covariance of all numbers of all features.
 
-    The covariance (9F, 9F) is in the order of the rows and of x, y, z, i, j, k, radius, half_angle, form. Raises
+    The covariance (9F, 9F) is in the order of the rows and of x, y, z, i, j, k, radius, half_angle, form. Last are the
+    derivatives of these numbers by the unknowns that all points share, (9F, k). Raises
     UndeterminedError or NotConvergedError with the name of the feature.
     """
     if not wanted:
-        return {}, {}
+        return {}, {}, np.zeros((0, joint.common.shape[2]))
     points = corrected.stacked("xyz")
     each = [
         (feature, _fit(feature, criterion, points[feature.rows]))
         for feature in wanted
         for criterion in feature.criteria
     ]
-    covariance = joint.propagated(_derivatives(each, points))
+    derivative = _derivatives(each, points)
+    covariance = joint.propagated(derivative)
     values = np.array([_numbers(fit, points[feature.rows]) for feature, fit in each])
     std = np.sqrt(np.maximum(np.diag(covariance), 0.0)).reshape(values.shape)
     _refuse_vague(each, values, std)
@@ -72,7 +75,32 @@ def fitted(
         )
     optimality = [np.nan if fit.contact is None else fit.contact.optimality for _, fit in each]
     table = table.joined({"optimality": optimality, "may_touch": _exchanges(each, points, joint)})
-    return {FEATURES: table, POINTS: _points(each, corrected)}, {COVARIANCE: covariance}
+    by_common = np.asarray(derivative @ joint.common.reshape(points.size, -1))
+    return {FEATURES: table, POINTS: _points(each, corrected)}, {COVARIANCE: covariance}, by_common
+
+
+def estimates_of(tables: Mapping[str, Table]) -> tuple[tuple[Estimate, ...], list[int]]:
+    """Return the numbers of features as estimates such as `bore.radius`, and their rows in the covariance.
+
+    Of two fits of one feature, the numbers of the minimum zone are named `bore.minimum-zone.radius`.
+    """
+    table, kept, estimates = tables[FEATURES], list[int](), list[Estimate]()
+    features, fits = table.texts("feature"), table.texts("fit")
+    for row, (feature, fit) in enumerate(zip(features, fits, strict=True)):
+        both = features.count(feature) > 1 and fit == Criterion.MINIMUM_ZONE
+        for at, name in enumerate(_ALL):
+            value, std = float(table.numbers(name)[row]), float(table.numbers(_std_of(name))[row])
+            if np.isfinite(value):
+                kept.append(len(_ALL) * row + at)
+                named = f"{feature}.{fit}.{name}" if both else f"{feature}.{name}"
+                estimates.append(Estimate(named, value, std, _UNITS.get(name, "1")))
+    return tuple(estimates), kept
+
+
+def figures_of(features: Mapping[str, Any]) -> dict[str, str]:
+    """Return the units of the estimates that features may have, by their names."""
+    prefixes = [f"{name}{fit}" for name in features for fit in ("", f".{Criterion.MINIMUM_ZONE}")]
+    return {f"{prefix}.{number}": _UNITS.get(number, "1") for prefix in prefixes for number in _ALL}
 
 
 def exchanging(tables: Mapping[str, Table]) -> tuple[str, ...]:

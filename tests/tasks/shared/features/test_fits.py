@@ -11,9 +11,9 @@ from scipy.optimize import minimize
 from simulated.features import AXES, Array, cloud
 
 from metrocli.errors import UndeterminedError
-from metrocli.tasks.multilaterate.features.fit import FeatureFit, least_squares
-from metrocli.tasks.multilaterate.features.ideal import IdealFeature
-from metrocli.tasks.multilaterate.features.minimum_zone import minimum_zone
+from metrocli.tasks.shared.features.fit import FeatureFit, least_squares
+from metrocli.tasks.shared.features.ideal import IdealFeature
+from metrocli.tasks.shared.features.minimum_zone import minimum_zone
 
 PIPE = """-3283.654 -79.927 194.917  -3271.578 -84.991 203.643  -3292.599 -64.647 196.517  -3308.806 -73.417 213.805
 -3301.555 -87.819 210.971  -3289.428 -79.973 198.027  -3292.505 -57.849 200.595  -3303.342 -63.362 213.794"""

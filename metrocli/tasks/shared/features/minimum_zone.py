@@ -9,7 +9,7 @@ import numpy as np
 from metrocli.adjust.small_programmes import highest, quadratic
 from metrocli.arrays import Array
 from metrocli.errors import NotConvergedError
-from metrocli.tasks.multilaterate.features.fit import (
+from metrocli.tasks.shared.features.fit import (
     Criterion,
     FeatureFit,
     ZoneContact,
@@ -17,7 +17,7 @@ from metrocli.tasks.multilaterate.features.fit import (
     gradients,
     least_squares,
 )
-from metrocli.tasks.multilaterate.features.ideal import STEP, ZONE_UNKNOWNS, Ideal, IdealFeature
+from metrocli.tasks.shared.features.ideal import STEP, ZONE_UNKNOWNS, Ideal, IdealFeature
 
 _ITERATIONS = 200
 _EXACT = 1e-12

@@ -11,8 +11,8 @@ from metrocli.errors import Fault, InputError
 from metrocli.frozen import dataclass
 from metrocli.settings import LocatedValue
 from metrocli.table import Table
-from metrocli.tasks.multilaterate.features.fit import Criterion, fewest
-from metrocli.tasks.multilaterate.features.ideal import IdealFeature
+from metrocli.tasks.shared.features.fit import Criterion, fewest
+from metrocli.tasks.shared.features.ideal import IdealFeature
 from metrocli.words import suggestion
 
 
@@ -26,16 +26,21 @@ class RequestedFeature:
     rows: Index
 
 
-def wanted_features(features: Mapping[str, LocatedValue], probing: Table | None) -> tuple[RequestedFeature, ...]:
-    """Return the features of a job; raises InputError for those without points or with too few."""
-    names = np.array([] if probing is None else probing.texts("feature"), dtype=str)
-    known = sorted(set(names.tolist()))
+def wanted_features(
+    features: Mapping[str, LocatedValue], points: Table | None, key: str = "probing"
+) -> tuple[RequestedFeature, ...]:
+    """Return the features of a job; raises InputError for those without points or with too few.
+
+    `key` is that of the points under `inputs`, which have a column `feature`.
+    """
+    names = np.array([] if points is None or "feature" not in points else points.texts("feature"), dtype=str)
+    known = sorted({*names.tolist()} - {""})
     requested, faults = [], []
     for name, placed in features.items():
         shape = IdealFeature(placed.value if isinstance(placed.value, str) else placed.value.shape)
         fit = "least-squares" if isinstance(placed.value, str) else placed.value.fit
         rows = np.flatnonzero(names == name)
-        if fault := _fault(name, shape, len(rows), known, placed):
+        if fault := _fault(name, shape, len(rows), known, placed, key):
             faults.append(fault)
         requested.append(RequestedFeature(name, shape, tuple(Criterion) if fit == "both" else (Criterion(fit),), rows))
     if faults:
@@ -43,12 +48,15 @@ def wanted_features(features: Mapping[str, LocatedValue], probing: Table | None)
     return tuple(requested)
 
 
-def _fault(name: str, shape: IdealFeature, points: int, known: list[str], placed: LocatedValue) -> Fault | None:
+def _fault(
+    name: str, shape: IdealFeature, points: int, known: list[str], placed: LocatedValue, key: str
+) -> Fault | None:
     at = placed.node.path
     if not known:
-        return placed.node.fault(f"{at}: features need `inputs: probing`", "expected probing points on the feature")
+        text = f"{at}: features need `inputs: {key}` with a column 'feature'"
+        return placed.node.fault(text, "expected points on the feature, with its name")
     if not points:
-        return placed.node.fault(f"{at}: no probing point is of feature '{name}'", suggestion(name, known))
+        return placed.node.fault(f"{at}: no point of `{key}` is of feature '{name}'", suggestion(name, known))
     least = fewest(shape)
     if points < least:
         return placed.node.fault(

@@ -1,1 +1,0 @@
-"""Ideal features through corrected points: least squares and minimum zone, with uncertainty."""
