@@ -105,6 +105,7 @@ def worst(result: Result) -> Iterator[str]:
         w, bound = float(sizes[which].max()), largest_of(sum(int(residuals.checked.sum()) for residuals in sets))
         alike = [sets[which].name(int(row)) for row in np.flatnonzero(sizes[which] >= (1 - _EQUAL) * w)]
         several, each = ("s", " each, so none can be singled out") if len(alike) > 1 else ("", "")
+        w /= _noise_of_others(result, w)
         chance = "more than noise reaches in 5 % of measurements" if w > bound else "as noise may be"
         size = f"|w| = {w:.2f} standard deviations{each}"
         yield f"Reading{several} {listed(alike, 4)}: {size}; {chance} (bound {bound:.2f})."
@@ -125,6 +126,18 @@ def worst(result: Result) -> Iterator[str]:
         size, spread = units.rounded(float(stock.least[0]), float(stock.spread[0]))
         where = f"at {stock.least_at[0]} of {stock.surfaces[0]}"
         yield f"Least overstock: ({size} ± {spread}) mm (k = 2) {where}; the minimum is {stock.minimum:g} mm."
+
+
+def _noise_of_others(result: Result, w: float) -> float:
+    """Return the noise of all readings but the worst, relative to the declared one, at least 1 where it is declared.
+
+    The tests of a result, and those on the terminal, are divided by it: external studentisation.
+    """
+    chi2, dof = (result.statistics.get(name) for name in ("chi2", "dof"))
+    if not isinstance(chi2, int | float) or not isinstance(dof, int | float) or dof <= 1:
+        return 1.0
+    others = float(np.sqrt(max(chi2 - w**2, 0.0) / (dof - 1)))
+    return others or 1.0 if result.statistics.get("noise_estimated") else max(others, 1.0)
 
 
 def _largest_shares(result: Result) -> Iterator[str]:

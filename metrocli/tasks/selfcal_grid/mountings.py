@@ -143,9 +143,10 @@ def _other_pitch(readings: GridReadings, observed: list[Observed | None], pitch:
 
 
 def _half_off(readings: GridReadings, n: int, seen: Observed, pitch: float) -> float:
-    """Return how far half of the readings of a view are from the fitted places of their balls, in pitches."""
+    """Return how far half of the readings of a view are from the fitted places of their balls, in read pitches."""
     rows = readings.at(n)
-    return float(np.median(np.abs(seen.off(readings.balls[rows], readings.values[rows] / pitch)).max(axis=1)))
+    off = np.abs(seen.off(readings.balls[rows], readings.values[rows] / pitch)).max(axis=1)
+    return float(np.median(off)) / max(seen.scale, 1e-12)
 
 
 def _reach(balls: Index) -> float:

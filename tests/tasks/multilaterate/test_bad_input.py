@@ -154,7 +154,7 @@ def test_the_shuffled_tracer_alone_is_named(folder: Path, metrocli: Metrocli) ->
     change(folder / "lengths.csv", CASES["one tracer's lengths shuffled"][1])
     listed_at = metrocli("multilaterate", "job.yaml").err
     assert listed_at.count("do not belong") == 1
-    assert "are its rows in another order?" in listed_at
+    assert "no other unit, sign or order of rows that was tried fits" in listed_at
 
 
 def test_files_in_different_units_that_say_so_are_one(folder: Path, metrocli: Metrocli) -> None:
