@@ -24,7 +24,9 @@ def overridden(root: Node, override: str, folder: Path) -> Node:
     names = key.strip().split(".")
     if not equals or not all(names):
         raise UsageError(f"--set {override}: write it as key.path=value, such as --set output=other.h5")
-    new = yaml_text.parse(value or "~", f"--set {override}", folder)
+    # a condition such as > 0.5 is no block of YAML
+    text = f"'{value}'" if value.startswith(">") and "'" not in value else value or "~"
+    new = yaml_text.parse(text, f"--set {override}", folder)
     return with_paths(_replaced(root, names, without_lines(new)))
 
 
@@ -39,14 +41,29 @@ def _replaced(node: Node, names: Sequence[str], new: Node) -> Node:
         return replace(node, items=tuple(items))
     if node.kind != "mapping":
         node = replace(node, kind="mapping", text="", entries=(), items=())
+    names = _as_keys(node, names)
     at = next((n for n, (key, _) in enumerate(node.entries) if key.text == names[0]), None)
     if at is None:
         key = replace(new, kind="scalar", text=names[0], quoted=False, entries=(), items=())
-        below = replace(new, kind="mapping", text="", quoted=False, entries=(), items=())
+        path = names[0] if not node.path else ""
+        below = replace(new, kind="mapping", text="", quoted=False, entries=(), items=(), path=path)
         return replace(node, entries=(*node.entries, (key, _replaced(below, names[1:], new))))
     key, value = node.entries[at]
     changed = (key, _replaced(value, names[1:], new))
     return replace(node, entries=(*node.entries[:at], changed, *node.entries[at + 1 :]))
+
+
+def _as_keys(node: Node, names: Sequence[str]) -> Sequence[str]:
+    """Return names of which the first is a key of a mapping: figures and estimates have points in their names.
+
+    It is the longest key that the mapping has. All that `require` has are names of figures.
+    """
+    keys = {key.text for key, _ in node.entries}
+    least = len(names) if node.path == "require" else 1
+    for count in range(len(names), least, -1):
+        if ".".join(names[:count]) in keys:
+            return [".".join(names[:count]), *names[count:]]
+    return [".".join(names[:least]), *names[least:]]
 
 
 def effect_node(text: str, folder: Path) -> Node:

@@ -69,7 +69,8 @@ class StudentT:
         radius = rng.random(count)
         np.log(np.subtract(1.0, radius, out=radius), out=radius)
         radius *= -2 / self.dof
-        np.expm1(radius, out=radius)
+        with np.errstate(over="ignore"):  # of very few degrees of freedom numbers end at infinity
+            np.expm1(radius, out=radius)
         radius *= self.dof * self.std**2
         np.sqrt(radius, out=radius)
         values = rng.random(count)

@@ -94,9 +94,7 @@ def fitted_features(wanted: Sequence[RequestedFeature], points: FeaturePoints) -
             noise, dof = _noise_of(feature, points.places[feature.rows])
             own[unknown] = np.eye(3) * noise**2
             dofs[feature.name] = float(dof)
-            text = (
-                f"noise of a coordinate {sized(noise, 'length')}, by {dof} degrees of freedom; form counts as noise"
-            )
+            text = f"noise of a coordinate {sized(noise, 'length')}, by {dof} degrees of freedom; form counts as noise"
             notes.append(f"feature '{feature.name}': {text}")
     rows = np.arange(len(own))
     joint = Joint(points.common, points.core, rows, np.nan_to_num(own), np.zeros(len(own)))

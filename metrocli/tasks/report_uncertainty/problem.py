@@ -23,7 +23,7 @@ from metrocli.tasks.report_uncertainty import decisions as uncertainty_decisions
 from metrocli.tasks.report_uncertainty.correlations import repeated
 from metrocli.tasks.report_uncertainty.entries import Entries
 from metrocli.tasks.report_uncertainty.quantity import column_of, quantity, unit_of
-from metrocli.tasks.report_uncertainty.values import identity, shared
+from metrocli.tasks.report_uncertainty.values import identity, shared, unvalidated
 from metrocli.uncertainty.distributions import Normal, Sampled
 from metrocli.uncertainty.inputs import CorrelatedBlock, InputQuantity, Inputs, NotSemiDefiniteError, join
 from metrocli.words import suggestion
@@ -175,6 +175,7 @@ class _Gathering:
         for (name, _, index), unit, dof, variance in zip(held, compounds, dofs, np.diag(covariance), strict=True):
             shape = Normal(math.sqrt(max(float(variance), 0.0)))
             value = result.estimates[index].value * unit.factor
+            self.noted += unvalidated(name, result, result.estimates[index].name)
             self.quantities[name] = InputQuantity(name, value, shape, dof, unit)
             self.units[name] = unit
         return CorrelatedBlock(tuple(name for name, _, _ in held), (covariance + covariance.T) / 2)

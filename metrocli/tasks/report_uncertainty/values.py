@@ -44,6 +44,17 @@ def shared(results: Mapping[str, Result], named: Iterable[str] = ()) -> list[str
     return lines
 
 
+def unvalidated(name: str, result: Result, estimate: str) -> list[str]:
+    """Return the warning that Monte Carlo does not validate an estimate of a result; nothing without trials."""
+    valid = result.details.get(estimate, {}).get("gum_valid")
+    if valid is None or math.isnan(float(valid)) or valid:
+        return []
+    taken = "this job takes its value and uncertainty for those of a normal distribution"
+    return [
+        f"{name}: Monte Carlo does not validate its uncertainty; {taken}: put its model and quantities into this job"
+    ]
+
+
 def _between(a: str, first: Result, b: str, second: Result) -> list[str]:
     # by content too: a comment that was added between the two results leaves the readings what they are
     files = {key: item.path for item in first.made_from for key in (item.sha256, item.content) if key}

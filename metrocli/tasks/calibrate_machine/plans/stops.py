@@ -20,7 +20,15 @@ from metrocli.tasks.calibrate_machine.files import NO_FILES
 from metrocli.tasks.calibrate_machine.methods.poses import without_errors
 from metrocli.tasks.calibrate_machine.methods.six_dof import planned_lines, six_dof
 from metrocli.tasks.calibrate_machine.methods.standstill import standstill
-from metrocli.tasks.calibrate_machine.plans.planned import PLACES, REST, Worth, planned, tracker_pose, worth_of
+from metrocli.tasks.calibrate_machine.plans.planned import (
+    PLACES,
+    REST,
+    Worth,
+    planned,
+    tracker_in_words,
+    tracker_pose,
+    worth_of,
+)
 from metrocli.tasks.calibrate_machine.plans.wanted import PathPlan
 from metrocli.tasks.calibrate_machine.problem import MachineProblem, tools_of
 from metrocli.tasks.calibrate_machine.settings import MachineSimulation, Settings
@@ -58,7 +66,8 @@ def plan_of_points(settings: Settings, points: Table | None) -> Plan:
     text = program(
         "metrocli points for calibrate-machine", [*PLACES, "a reading in each dwell"], blocks, wanted.control
     )
-    notes = [*own, f"proposed: {len(table)} points", *identifiability_notes(worth.identified)[1:]]
+    where = tracker_in_words(machine_of(settings), wanted)
+    notes = [*own, f"proposed: {len(table)} points", where, *identifiability_notes(worth.identified)[1:]]
     files: dict[str, Table | str] = {"points.csv": table, "points.nc": text}
     return planned(notes, (Estimate("points", float(len(table)), 0.0, "1"),), worth, files, [])
 
