@@ -357,3 +357,13 @@ def test_a_kind_without_a_plan_says_so(tmp_path: Path, job: Path, metrocli: Metr
 
     monkeypatch.setattr(task, "TASK", replace(task.TASK, plan=None))
     assert metrocli("plan", job).code == 2
+
+
+def test_set_takes_names_with_points_and_conditions(tmp_path: Path, metrocli: Callable[..., Any]) -> None:
+    """Figures have points in their names, whether the job has the key or not; > begins no block of YAML."""
+    assert metrocli("init", tmp_path / "p", "--sample", "gauge-block").code == 0
+    job, trials = tmp_path / "p/jobs/gum.yaml", "monte_carlo.trials=10000"
+    told = metrocli("report-uncertainty", job, "--set", trials, "--set", "require.l.tolerance.conformance=> 0.5").out
+    assert "required l.tolerance.conformance > 0.5: met" in told and "required l.U < 100 nm" in told
+    told = metrocli("report-uncertainty", job, "--set", trials, "--set", "require.l.mc.std=< 1 mm", "--force").out
+    assert "required l.mc.std < 1 mm: met" in told

@@ -142,6 +142,23 @@ def test_degrees_of_freedom_of_a_report_are_carried_on(tmp_path: Path) -> None:
     assert found["k"] == pytest.approx(2.776, abs=1e-3)
 
 
+@pytest.mark.parametrize(("std", "invalid"), [(0.25, True), (1e-4, False)])
+def test_a_report_that_monte_carlo_does_not_validate_is_named_where_it_is_used(
+    std: float, invalid: bool, tmp_path: Path
+) -> None:
+    quantities = {"a": {"value": 1, "std": std}, "b": {"value": 1, "std": std}}
+    first = {
+        "quantities": quantities,
+        "measurands": {"y": {"model": "a/b", "unit": "1"}},
+        "monte_carlo": {"trials": 20_000},
+    }
+    assert carry_out(tmp_path, first, "ratio").code == 0
+    ran = carry_out(tmp_path, job({"z": {"model": "2*ratio.y", "unit": "1"}}, 2000, ratio="ratio.h5"))
+    assert ran.result is not None
+    named = [text for text in ran.result.warnings if "does not validate its uncertainty" in text]
+    assert [text.partition(":")[0] for text in named] == ["ratio.y"] * invalid
+
+
 def test_a_report_of_measurands_with_different_degrees_of_freedom_is_carried_on(tmp_path: Path) -> None:
     """s + d - 2 a is exactly zero, whatever the degrees of freedom of the three."""
     quantities = {"a": {"value": 10, "std": 1, "dof": 5}, "b": {"value": 5, "std": 1, "dof": 50}}
