@@ -69,7 +69,8 @@ def diagnose(
     A `quick` one looks for effects and wrong readings alone, and states nothing on what it does not find.
     Raises UndeterminedError if the unknowns use up all readings, InputError if it needs more memory than there is.
     """
-    job = replace(as_fits(job), budget=Budget(limit))
+    job = as_fits(job)
+    job = replace(job, model=job.model.about_no_scatter(), budget=Budget(limit))
     progress.doing("looking for structure", job.budget.left())
     with attended(job.budget.interrupt):
         first, state = searched(job, quick)
@@ -208,7 +209,7 @@ def _left(
     of all that is identified.
     """
     job, misfit = state.measurement.job, gain.before**2 if gain is not None and gain.before else None
-    law = next((one for one in laws if one.chosen), None)
+    law = next((law for law in laws if law.chosen), None)
     if law is not None:
         names = dict.fromkeys(name for term in law.terms for name in term.form.variables)
         where = tuple(name for _, name in law.terms[0].spot.where)

@@ -57,12 +57,17 @@ class Model:
 
 
 def folds_of(m: Measurement) -> Index:
-    """Return the number of the fold of each row, -1 for priors, (rows,)."""
+    """Return the number of the fold of each row, (rows,): -1 for priors, but those of a member are held out with it."""
     rows = np.full(m.system.rows, -1, dtype=np.intp)
     for group in m.job.model.readings:
         fold = m.system.spread(group, m.job.folds[group.name].astype(float) + 1)
         rows = np.where(fold > 0, fold.astype(np.intp) - 1, rows)
-    return rows
+    member = m.system.basis.member
+    own = np.full(m.system.basis.members + 1, -1, dtype=np.intp)  # the last is that of rows without a member
+    read = (rows >= 0) & (member >= 0)
+    own[member[read]] = rows[read]
+    own[member[read][own[member[read]] != rows[read]]] = -1
+    return np.where(rows < 0, own[member], rows)
 
 
 @dataclass(frozen=True)
@@ -107,9 +112,11 @@ class Fold:
 
     def grams(self, number: int, basis: Basis) -> Array:
         """Return the Gram matrices of a family's alternatives at the held-out rows, without what local columns take."""
-        key = number, basis.local.shape[1]
+        key, here = (number, basis.local.shape[1]), ("basis", basis.local.shape[1])
+        if here not in self._held:
+            self._held[here] = basis.at(self.rows)
         if key not in self._held:
-            self._held[key] = self.candidates(number).grams(basis.at(self.rows))
+            self._held[key] = self.candidates(number).grams(self._held[here])
         return np.asarray(self._held[key])
 
     @cached_property
@@ -120,12 +127,12 @@ class Fold:
 
     def shown(self, fixed: Iterable[Fixed]) -> tuple[Fixed, ...]:
         """Return the fixed parts that other readings than those held out show: not the effect of a held-out image."""
-        return tuple(one for one in fixed if one.is_reading or one.columns[~self.mask].any())
+        return tuple(part for part in fixed if part.is_reading or part.columns[~self.mask].any())
 
     def others(self, fixed: Iterable[Fixed]) -> tuple[Fixed, ...]:
         """Return fixed parts without the errors of readings that are held out, with what takes these out."""
         m = self.measurement
-        kept = (one for one in self.shown(fixed) if not (one.is_reading and self.mask[m.places[one.number]].any()))
+        kept = (part for part in self.shown(fixed) if not (part.is_reading and self.mask[m.places[part.number]].any()))
         return (*kept, *self.taken_out)
 
     def products(self, model: Model) -> Products:
@@ -158,8 +165,8 @@ class Fold:
         model = model.with_fixed(self.shown(model.fixed))
         everything = model.fitted(m)
         fit = fit_at(self.products(model), model.logs)
-        ranks = sum(one.rank for one in model.fixed)
-        fewer = sum(one.rank for one in self.others(model.fixed))
+        ranks = sum(part.rank for part in model.fixed)
+        fewer = sum(part.rank for part in self.others(model.fixed))
         score = _log_marginal(everything, ranks) - _log_marginal(fit, fewer)
         spared = np.zeros(m.system.rows, dtype=bool)
         for one in model.fixed:
@@ -206,7 +213,7 @@ class Train:
         parts = [*shared_parts(m, fixed, model.random), ("residual", m.system.residual[:, None])]
         if local_columns(m, model.random).shape[1]:
             parts = [(key, _free(state, basis, key, columns)) for key, columns in parts]
-        return cls(fold, state, basis, tuple(parts), fit, fit.dof - sum(one.rank for one in fixed))
+        return cls(fold, state, basis, tuple(parts), fit, fit.dof - sum(part.rank for part in fixed))
 
     def nets(self, number: int) -> Array:
         """Return the net gain of each alternative of a family; -inf where it explains nothing."""

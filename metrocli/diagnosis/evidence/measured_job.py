@@ -14,7 +14,7 @@ import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index
-from metrocli.diagnosis.adjusted_job import AdjustedJob, Covariate
+from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.evidence.functions import process_bases
 from metrocli.diagnosis.evidence.measurement import Measurement
 from metrocli.diagnosis.evidence.parts import Knots
@@ -25,6 +25,7 @@ from metrocli.diagnosis.linear.linearised import linearised
 from metrocli.diagnosis.linear.projection import Linearised
 from metrocli.diagnosis.linear.signatures import signature
 from metrocli.diagnosis.noise import variance_groups
+from metrocli.effects.covariates import Covariate
 from metrocli.effects.effect import Effect, Parameter
 
 _PLACES = 6
@@ -54,7 +55,7 @@ def measurement_of(
     families += unknown_families(job, system)
     places = _places(system, job)
     readings = int((1 - system.basis.squares(places[:, 0]) > _REDUNDANT).sum())
-    same = like is not None and [one.form for one in like.families] == [one.form for one in families]
+    same = like is not None and [family.form for family in like.families] == [family.form for family in families]
     prices = like.prices if same and like else counted(system, families, readings, np.random.default_rng(_SEED))
     return Measurement(
         job,
@@ -62,7 +63,7 @@ def measurement_of(
         tuple(families),
         not_tested,
         () if quick else tuple(_scatters(job, system, every)),
-        () if quick else tuple(Knots.of(one) for one in process_bases(job, system)),
+        () if quick else tuple(Knots.of(functions) for functions in process_bases(job, system)),
         places,
         () if quick else tuple(variance_groups(job, system)),
         prices,

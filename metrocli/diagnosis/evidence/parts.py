@@ -19,8 +19,6 @@ EFFECT, READING, UNKNOWN, TERM, HELD_OUT = "effect", "reading", "unknown cause",
 SCATTER, CORRELATED = "scatter", "correlated"
 _SEEN = 1e-4
 """Smallest singular value of unit columns, relative to the largest, that counts as a column"""
-_RICH = 0.02
-"""Smallest eigenvalue of a covariance of knots, relative to the largest, that counts"""
 LARGEST = 2 * float(np.log(10.0))
 """ln of the largest variance of a correlated error, in that of the noise: ten times the declared one"""
 
@@ -83,14 +81,6 @@ def fixed(whole: Array, seen: Array, key: tuple[int, int], price: float, sort: s
     return Fixed(*key, whole @ turn, turn, price, sort)
 
 
-def kernel(distances: Array, length: float) -> Array:
-    """Return V, (knots, k), with `V V'` the Matern covariance (3/2) of unit variance of knots some distances apart."""
-    x = np.sqrt(3) * distances / length
-    values, vectors = np.linalg.eigh((1 + x) * np.exp(-x))
-    kept = values > _RICH * values[-1]
-    return np.asarray(vectors[:, kept] * np.sqrt(values[kept]))
-
-
 @dataclass(frozen=True)
 class Knots:
     """The functions of a covariate, each row with those of its own unit and component."""
@@ -128,20 +118,20 @@ class Knots:
     def compact(self, turn: Array, unit: int = -1) -> Array:
         """Return the columns of each row's own unit, (rows, components*k), of a turn of the knots (knots, k)."""
         k = turn.shape[1]
-        found = np.zeros((len(self.values), self.components, k))
+        columns = np.zeros((len(self.values), self.components, k))
         mixed = np.einsum("rm,rmk->rk", self.values, turn[self.numbers])
         there = self.component >= 0
         if unit >= 0:
             there &= self.unit == unit
         rows = np.flatnonzero(there)
-        found[rows, self.component[rows]] = mixed[rows]
-        return found.reshape(len(found), -1)
+        columns[rows, self.component[rows]] = mixed[rows]
+        return columns.reshape(len(columns), -1)
 
     def spread(self, turn: Array, unit: int = -1) -> Array:
         """Return the columns of all units side by side, (rows, components*units*k), or those of one unit."""
         own = self.compact(turn, unit)
         if unit >= 0 or self.functions.count == 1:
             return own
-        found = np.zeros((len(own), self.functions.count, own.shape[1]))
-        found[np.arange(len(own)), self.unit] = own
-        return found.reshape(len(own), -1)
+        columns = np.zeros((len(own), self.functions.count, own.shape[1]))
+        columns[np.arange(len(own)), self.unit] = own
+        return columns.reshape(len(own), -1)

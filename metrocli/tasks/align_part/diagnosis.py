@@ -8,6 +8,8 @@ import numpy as np
 
 from metrocli import units
 from metrocli.diagnosis.adjusted_job import AdjustedJob, Delivered
+from metrocli.effects.covariates import Covariate
+from metrocli.effects.model import Model
 from metrocli.geometry import poses
 from metrocli.instruments import spindle_camera as spindle
 from metrocli.instruments.camera import LENS, TAPER, TARGET
@@ -17,7 +19,15 @@ from metrocli.tasks.align_part.effects import EFFECTS
 from metrocli.tasks.align_part.problem import AlignmentProblem
 from metrocli.tasks.align_part.settings import Files
 from metrocli.tasks.shared.images.adjustment import AdjustedImages
-from metrocli.tasks.shared.images.covariates import at_solution, covariate, covariates, folds, named, refit
+from metrocli.tasks.shared.images.covariates import (
+    at_solution,
+    covariate,
+    covariates,
+    folds,
+    named,
+    place_of_target,
+    refit,
+)
 from metrocli.tasks.shared.images.eccentricity import diameters
 from metrocli.tasks.shared.uncontrolled import SCALE, SCALE_WORDS, Hidden, table_of
 
@@ -25,25 +35,12 @@ from metrocli.tasks.shared.uncontrolled import SCALE, SCALE_WORDS, Hidden, table
 def adjusted_job(problem: AlignmentProblem, adjusted: AdjustedImages) -> AdjustedJob:
     """Return an adjusted alignment as input of `diagnose`; cross-validation holds out whole images."""
     model = at_solution(problem.model, adjusted)
-    index, blocks = model.readings[0].observations.index, model.blocks
-    points = blocks[TARGET].values[index[TARGET]]
-    held = blocks[spindle.SPINDLE].values
-    angle = float(blocks[spindle.COUPLING].values[0, 0])
-    into = spindle.part_in_camera(blocks[spindle.PART].values[0], held, angle, blocks[TAPER].values[0])
-    in_camera = poses.apply(into[index["view"]], points).T
-    turn = poses.rotation_of(held)[index["view"]]
-    about = np.arctan2(turn[:, 1, 0], turn[:, 0, 0])
-    known = [
-        *covariates(model, in_camera),
-        covariate("place of the target", points.T, 2),
-        covariate("place of the spindle", held[index["view"], :3].T, 2),
-        covariate("turn of the spindle", np.stack([np.cos(about), np.sin(about)]), 2),
-    ]
+    index = model.readings[0].observations.index
     return AdjustedJob(
         KIND.name,
         model,
         EFFECTS,
-        named(known),
+        named(all_covariates(model)),
         ("image", "target"),
         folds(index["view"]),
         Delivered("place of the part", spindle.PART, (0, 1, 2), "um", "length"),
@@ -54,6 +51,20 @@ def adjusted_job(problem: AlignmentProblem, adjusted: AdjustedImages) -> Adjuste
         sharing=len(np.unique(index["view"])),
         made_together=("image",),
     )
+
+
+def all_covariates(model: Model) -> list[Covariate]:
+    """Return the covariates of the image points of an alignment."""
+    index = model.readings[0].observations.index
+    held = model.blocks[spindle.SPINDLE].values
+    turn = poses.rotation_of(held)[index["view"]]
+    about = np.arctan2(turn[:, 1, 0], turn[:, 0, 0])
+    return [
+        *covariates(model),
+        place_of_target(model, 2),
+        covariate("place of the spindle", held[index["view"], :3].T, 2),
+        covariate("turn of the spindle", np.stack([np.cos(about), np.sin(about)]), 2),
+    ]
 
 
 _SEAT = units.parse_quantity("5 um", "length")

@@ -49,7 +49,7 @@ class Settings:
         default=ESTIMATED,
     )
     scale: bool = setting(Flag(), "estimate a scale too, 7 parameters", default=False)
-    features: dict[str, LocatedValue] = features_through("the points, after the best fit if there is one")
+    features: dict[str, LocatedValue] = features_through("the points, as measured or after the best fit")
 
     def faults(self) -> Iterable[tuple[str, str]]:
         """Yield that there is nothing to do, or a scale without nominal points."""

@@ -13,9 +13,11 @@ import numpy as np
 from metrocli.adjust.adjustment import StoppingRule, adjust
 from metrocli.adjust.datum import Datum
 from metrocli.adjust.model.blocks import Block
+from metrocli.adjust.model.chain import Chain
+from metrocli.adjust.model.quantities import Quantity
 from metrocli.adjust.solution import Solution
 from metrocli.arrays import Array, Index, Mask
-from metrocli.diagnosis.adjusted_job import Covariate
+from metrocli.effects.covariates import Covariate
 from metrocli.effects.effect import ELAPSED, WARMING
 from metrocli.effects.extension import with_conditions
 from metrocli.effects.model import Model
@@ -33,10 +35,13 @@ def at_solution(model: Model, adjusted: AdjustedImages) -> Model:
     return with_conditions(replace(model, blocks=adjusted.solution.blocks, groups=groups))
 
 
-def covariates(model: Model, in_camera: Array) -> list[Covariate]:
-    """Return the covariates of all image jobs; `in_camera` (3, n) mm are the targets in the camera's frame."""
+def covariates(model: Model) -> list[Covariate]:
+    """Return the covariates of all image jobs."""
     group = model.readings[0]
     observations = group.observations
+    links = group.chain.links
+    last = max(number for number, link in enumerate(links) if link.gives is Quantity.POINT_IN_CAMERA)
+    in_camera = Chain(links[: last + 1]).predict(model.blocks, observations)
     lens = model.blocks[LENS].named()
     conditions, view = observations.conditions, observations.index["view"].astype(float)
     # Predicted image points: the readings would put their own noise into the covariates.
@@ -52,6 +57,12 @@ def covariates(model: Model, in_camera: Array) -> list[Covariate]:
     orders.append(replace(covariate("image azimuth", np.arctan2(off[1], off[0]), 8), angle=True))
     orders.append(covariate("distance from the camera", in_camera[2], 4))
     return orders
+
+
+def place_of_target(model: Model, degree: int) -> Covariate:
+    """Return the place of the target of each reading in the target list."""
+    places = model.blocks[TARGET].values[model.readings[0].observations.index[TARGET]]
+    return covariate("place of the target", places.T, degree)
 
 
 def covariate(name: str, values: Array, degree: int) -> Covariate:
