@@ -69,7 +69,7 @@ def _of_opencv(lines: TextLines, text: str) -> ReadCamera:
     size = [_after(extent.format(side), text, anywhere) for side in ("width", "height")]
     matrix = _numbers(rf"(?i:camera_?matrix)\s*:[^\[]{{0,200}}?data\s*:\s*{_LIST}|^[Kk]\s*:\s*{_LIST}", text)
     shift = _numbers(
-        rf"(?i:dist(?:ortion)?_?(?:coefficients|coeffs?))\s*:[^\[]{{0,200}}?data\s*:\s*{_LIST}|^[Dd]\s*:\s*{_LIST}",
+        rf"(?i:dist(?:ortion)?_?(?:coefficients|coeffs?))\s*:(?:[^\[]{{0,200}}?data\s*:)?\s*{_LIST}|^[Dd]\s*:\s*{_LIST}",
         text,
     )
     fields = {"camera_matrix with 9 numbers": len(matrix) == 9, "distortion_coefficients": shift}
@@ -251,6 +251,6 @@ READERS: Sequence[tuple[str, str, Callable[[TextLines, str], ReadCamera]]] = (
     ("ros", r"^camera matrix\s*$", _of_ini),
     ("opencv", r"^projection_parameters\s*:|^Camera1?\.fx\s*:", _of_slam),
     ("opencv", r"(?i:camera_?matrix)\s*:|distortion_coefficients\s*:|image_width\s*:|^[Kk]\s*:\s*(?:\[|$)", _of_opencv),
-    ("colmap", r"^\s*[0-9]+\s+[A-Z_]+\s+[0-9]+\s+[0-9]+(\s|$)", _of_colmap),
+    ("colmap", r"^\s*[0-9]+\s+[A-Z_]*(PINHOLE|RADIAL|OPENCV|FOV|FISHEYE)[A-Z_]*\s+[0-9]+\s+[0-9]+(\s|$)", _of_colmap),
 )
 """Programs, what only their files have, and the reader"""

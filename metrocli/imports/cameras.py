@@ -57,6 +57,11 @@ def _cameras(lines: TextLines) -> dict[str, str]:
     return {}
 
 
+def program_of(text: str) -> str | None:
+    """Return the program whose camera a text is, by what only its files have; None if it is no camera."""
+    return next((program for program, sign, _ in READERS if re.search(sign, text, re.MULTILINE)), None)
+
+
 def _parts(lines: TextLines, program: str, text: str) -> dict[str, str]:
     """Return the text of each camera by its name; programs with one camera in a file have one part.
 

@@ -168,3 +168,33 @@ def test_coefficients_of_a_fisheye_under_another_name_are_refused(tmp_path: Path
 def test_another_model_with_the_same_keys_is_refused(tmp_path: Path, metrocli: Metrocli) -> None:
     ran = imported(tmp_path, CAMODOCAL.replace("PINHOLE", "KANNALA_BRANDT"), "opencv", metrocli)
     assert ran.code == 3 and "the model KANNALA_BRANDT is not known here" in ran.err
+
+
+def test_a_list_of_coefficients_on_its_line(tmp_path: Path, metrocli: Callable[..., Any]) -> None:
+    (tmp_path / "cam.yaml").write_text(
+        "image_width: 640\nimage_height: 480\ndistortion_model: plumb_bob\n"
+        "distortion_coefficients: [-0.1, 0.02, 0.001, -0.002, 0.0]\n"
+        "camera_matrix:\n  rows: 3\n  cols: 3\n  data: [500.0, 0.0, 321.0,\n    0.0, 501.0, 242.0, 0.0, 0.0, 1.0]\n"
+    )
+    assert metrocli("import", tmp_path / "cam.yaml", "--from", "ros").code == 0
+    assert "k1: -0.1" in (tmp_path / "camera.yaml").read_text()
+
+
+@pytest.mark.parametrize(
+    ("text", "known"),
+    [
+        (CHAIN, "kalibr"),
+        (ONE_A_LINE, "opencv"),
+        ("# CAMERA_ID, MODEL\n1 SIMPLE_RADIAL 3072 2304 2559.69 1536 1152 -0.02\n", "colmap"),
+        ("<?xml version='1.0'?>\n<gama-local>\n<network/>\n</gama-local>\n", "gama-xml"),
+        ("# filename x y level\nb.jpg 12 13 0\n", "vnl"),
+        ("point;x;y;z\n1 PT 100 200;3;4;5\n", ""),
+    ],
+)
+def test_a_file_of_a_known_program_needs_no_mapping(
+    text: str, known: str, tmp_path: Path, metrocli: Callable[..., Any]
+) -> None:
+    (tmp_path / "file").write_text(text)
+    ran = metrocli("import", tmp_path / "file")
+    assert ran.code == (2 if known else 0)
+    assert f"--from {known}" in ran.err if known else "decimal:" in ran.out

@@ -9,7 +9,7 @@ import click
 
 from metrocli.cli import options
 from metrocli.cli.console import Console, echo
-from metrocli.errors import Fault, InputError
+from metrocli.errors import Fault, InputError, UsageError
 from metrocli.imports import FORMATS, ImportOptions, imported
 from metrocli.imports.lines import NOTE, TextLines
 
@@ -69,7 +69,10 @@ def command(
     lines = TextLines(str(file), _text(file, root).split("\n"))
     if form is None:
         from metrocli.imports.columns import proposed
+        from metrocli.imports.known_files import format_of
 
+        if known := format_of(lines):
+            raise UsageError(f"{file} is a file for --from {known}: metrocli import {file} --from {known}")
         echo(proposed(lines))
         return 0
     texts = imported(form, lines, ImportOptions(root, unit))
