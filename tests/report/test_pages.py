@@ -442,3 +442,13 @@ def test_figures_of_pixels_have_the_theme_of_the_screen(monkeypatch: pytest.Monk
     assert {one["media"] for one in dark} == {"screen and (prefers-color-scheme:dark)"}
     links = [str(one["srcset"]) for one in dark] + [str(one["src"]) for one in light]
     assert len(set(links)) == len(links) and all(link.startswith("data:image/png;base64,") for link in links)
+
+
+def test_the_worst_reading_is_tested_as_on_the_terminal(tmp_path: Path, metrocli: Callable[..., Any]) -> None:
+    """A declared noise that is too small makes all |w| large: those of a result are relative to the other readings."""
+    assert metrocli("init", tmp_path / "p", "--sample", "laboratory-effects").code == 0
+    result, page = tmp_path / "hall.h5", tmp_path / "hall.html"
+    ran = metrocli("multilaterate", tmp_path / "p/jobs/hall.yaml", "--output", result)
+    assert "P15 (w = 4.1: LT1 or LT5)" in ran.err
+    assert metrocli("report", result, "--out", page).code == 0
+    assert "Reading P15/LT1: |w| = 4.10 standard deviations" in page.read_text()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -21,7 +22,9 @@ from simulated.lengths import (
 )
 
 from metrocli.errors import UndeterminedError
+from metrocli.instruments.tracer import TRACER
 from metrocli.tasks.multilaterate import task as multilaterate
+from metrocli.tasks.multilaterate.layout_faults import _strayed
 
 
 def without(rows: slice, columns: slice) -> Network:
@@ -163,3 +166,16 @@ def test_points_that_too_few_read_are_left_out_on_demand() -> None:
     assert any("points are left out, since too few of their lengths remain" in line for line in result.warnings)
     error = without_motion(places(result.tables["points"]), net.points[rows]) - net.points[rows]
     assert np.sqrt((error**2).mean() / (result.tables["points"].stacked(["sx", "sy", "sz"]) ** 2).mean()) < 1.6
+
+
+def test_a_layout_that_wrong_lengths_made_is_not_to_blame() -> None:
+    """An adjustment put one tracer 40 m away: its lengths are wrong, and no further tracer mends them."""
+    listed = np.array([[0.0, 0, 0], [2000, 0, 0], [0, 2000, 0], [0, 0, 2000], [2000, 2000, 500]])
+    found = listed + [[40_000.0, 0, 0], *[[1.0, 1, 1]] * 4]
+    for stand, named in ((found, ["T0 (4e+04 mm)"]), (listed, [])):
+        network = SimpleNamespace(listed_at=listed)
+        solution = SimpleNamespace(
+            blocks={TRACER: SimpleNamespace(values=stand, members=tuple(f"T{i}" for i in range(5)))}
+        )
+        told = list(_strayed(network, solution))  # type: ignore[arg-type]
+        assert len(told) == len(named) and all(name in told[0] for name in named)
