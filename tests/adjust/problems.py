@@ -173,7 +173,8 @@ def taper(seed: int = 51) -> Problem:
     measured = prior(truth, np.arange(len(CUBE)), sigma=np.full((len(CUBE), 3), 0.05))
     sigma = np.array([20.0, 5, 5, 0.05, 0.3, 1e-3, 1e-3, 2, 2, 5, 0.01, 0.01, 0.01])
     shape = replace(pose, values=poses.inverse(look(CUBE, 1, seed, tilt=70).poses))
-    joint = joint_prior([lens(), shape], [tuple(range(7)), tuple(range(6))], a_covariance(sigma, 8))
+    parts = [(block, np.zeros(k, dtype=np.intp), np.arange(k)) for block, k in ((lens(), 7), (shape, 6))]
+    joint = joint_prior(parts, a_covariance(sigma, 8))
     blocks = [problem.blocks[camera.LENS], pose, problem.blocks[camera.TARGET]]
     return Problem({b.name: b for b in blocks}, (group, measured, joint))
 

@@ -96,7 +96,7 @@ def kernels(link: LensShape, image_size: tuple[int, int]) -> list[Array]:
 def _extended(problem: CameraProblem, link: LensShape, covariance: Array) -> CameraProblem:
     size = link.to_coefficients.shape[1]
     block = Block(SHAPE, np.zeros((1, size)), tuple(f"w{k + 1}" for k in range(size)))
-    prior = joint_prior([block], [tuple(range(size))], covariance)
+    prior = joint_prior([(block, np.zeros(size, dtype=np.intp), np.arange(size))], covariance)
     images = problem.images
     group = Group(images.name, images.chain.spliced([link]), images.observations, images.weights)
     model = problem.model.with_group(group)
