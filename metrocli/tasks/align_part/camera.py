@@ -1,58 +1,122 @@
-"""A calibrated camera as input of an alignment: lens parameters, pose in the taper, and their joint covariance."""
+"""A calibrated camera, or several, as input of an alignment: lens, pose in the taper, and their joint covariance."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from metrocli.adjust.model.blocks import Block, Space
 from metrocli.adjust.model.groups import Group, joint_prior
 from metrocli.arrays import Array
-from metrocli.errors import InputError
+from metrocli.errors import Fault, InputError
 from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.imageset import ImageSet
-from metrocli.instruments.camera import LENS, TAPER
+from metrocli.instruments.camera import LENS, MOUNT, TAPER, mount_block
 from metrocli.instruments.lenses.lens import PARAMETERS
 from metrocli.result import Result
+from metrocli.tasks.shared.images.exposures import Exposures, exposures
 from metrocli.tasks.shared.images.settings import CameraFile, OfCameraFile
+from metrocli.words import in_a_row
+
+_UNNAMED = 'the calibration does not state which images {} take: write `cameras: {{{}: "NAME*.png", ...}}`'
+
+
+@dataclass(frozen=True)
+class HeldCamera:
+    """One calibrated camera and where it is held."""
+
+    lens: Mapping[str, float]
+    pose: Array
+    """In the taper, or in the frame of the first of several (6,)"""
+    image_size: tuple[int, int]
+    images: str = "*"
+    """Names of its images, with one *; empty if it takes none"""
 
 
 @dataclass(frozen=True)
 class CameraModel:
-    """A calibrated camera in a taper."""
+    """A calibrated camera in a taper, or several that are fixed to each other, of which the first is in the taper."""
 
-    lens: Mapping[str, float]
-    taper: Array
-    """Pose of the camera in the taper (6,)"""
-    image_size: tuple[int, int]
+    cameras: Mapping[str, HeldCamera]
+    """By name; a single camera has none"""
     convention: str
-    estimated: tuple[str, ...] = ()
-    """Lens parameters in the covariance; x y z alpha beta gamma follow them if `placed`"""
+    entries: tuple[tuple[str, str], ...] = ()
+    """Camera and estimate (lens parameter, or x y z alpha beta gamma) of each row of the covariance"""
     covariance: Array | None = None
     """None: the camera is exact"""
-    placed: bool = True
-    """Whether the covariance has the pose in the taper"""
     warnings: tuple[str, ...] = ()
 
-    def must_fit(self, images: ImageSet) -> None:
-        """Raise InputError if the images do not have the size with which the camera was calibrated."""
-        if tuple(images.size) != self.image_size:
-            w, h = images.size
-            raise InputError(
-                f"the images are {w} x {h} px, "
-                f"the camera was calibrated with {self.image_size[0]} x {self.image_size[1]} px"
-            )
+    @property
+    def several(self) -> bool:
+        """Whether several cameras are fixed to each other."""
+        return len(self.cameras) > 1
 
-    def blocks(self) -> tuple[Block, Block]:
-        """Return the blocks of lens and taper; free if the calibration gives their covariance, else fixed."""
-        known = self.covariance is not None
-        held = {"k1": 0.0, **self.lens}  # the effect radial-distortion needs k1, even if the calibration has none
-        columns, values = tuple(held), np.array([list(held.values())])
-        lens = Block(LENS, values, columns, free=np.isin(columns, self.estimated) if known else np.array(False))
-        free = np.array(known and self.placed)
-        return lens, Block(TAPER, self.taper[None], poses.COLUMNS, free=free, space=Space.POSE)
+    @property
+    def sizes(self) -> Array:
+        """Width and height [px] of the images of each camera, (cameras, 2)."""
+        return np.array([camera.image_size for camera in self.cameras.values()], dtype=float)
+
+    @property
+    def in_taper(self) -> Array:
+        """The pose of each camera in the taper, (cameras, 6)."""
+        first, *others = (camera.pose for camera in self.cameras.values())
+        return np.stack([first, *(poses.compose(first, other) for other in others)])
+
+    def exposed(self, images: Sequence[str]) -> Exposures:
+        """Return the camera and the exposure of each image; raises InputError for images of no camera or of two."""
+        return exposures(self.images, images)
+
+    @property
+    def images(self) -> dict[str, str]:
+        """The names of the images of each camera that takes some."""
+        return {name: camera.images for name, camera in self.cameras.items()}
+
+    def with_images(self, images: Mapping[str, str] | None) -> CameraModel:
+        """Return the model with these names of images, by camera; cameras that are not named take none.
+
+        Raises InputError for a camera that is not known, and if nothing states the names.
+        """
+        if images is None:
+            if not any(self.images.values()):
+                raise InputError(_UNNAMED.format(in_a_row(list(self.cameras)), next(iter(self.cameras))))
+            return self
+        if not self.several:
+            raise InputError("cameras: the calibration is of a single camera, which took all images: leave it out")
+        if strange := [name for name in images if name not in self.cameras]:
+            known = in_a_row(list(self.cameras))
+            raise InputError([Fault(f"cameras: the calibration has no {in_a_row(strange)}", hint=f"it has {known}")])
+        named = {name: replace(camera, images=images.get(name, "")) for name, camera in self.cameras.items()}
+        return replace(self, cameras=named)
+
+    def must_fit(self, images: ImageSet) -> None:
+        """Raise InputError if the images do not have the size with which their camera was calibrated."""
+        exposed = self.exposed(images.names)
+        for name, camera in self.cameras.items():
+            if tuple(images.size) != tuple(camera.image_size) and name not in exposed.unused:
+                of = f"the camera {name}" if name else "the camera"
+                raise InputError(
+                    f"the images are {images.size[0]} x {images.size[1]} px, "
+                    f"{of} was calibrated with {camera.image_size[0]} x {camera.image_size[1]} px"
+                )
+
+    def blocks(self) -> dict[str, Block]:
+        """Return the blocks of lens, taper and, for several, mount; free if the calibration gives their covariance."""
+        named = {name for camera in self.cameras.values() for name in camera.lens}
+        # the effect radial-distortion needs k1, even if the calibration has none
+        columns = tuple(name for name in PARAMETERS if name in named or name == "k1")
+        values = np.array([[camera.lens.get(name, 0.0) for name in columns] for camera in self.cameras.values()])
+        free = np.array([[(camera, name) in self.entries for name in columns] for camera in self.cameras])
+        pose = np.stack([camera.pose for camera in self.cameras.values()])
+        held = np.array((next(iter(self.cameras)), "x") in self.entries)
+        made = [
+            Block(LENS, values, columns, tuple(self.cameras), free, noun="camera"),
+            Block(TAPER, pose[:1], poses.COLUMNS, free=held, space=Space.POSE),
+            *([mount_block(np.stack([np.zeros(6), *pose[1:]]), tuple(self.cameras), np.inf)] if self.several else []),
+        ]
+        return {block.name: block for block in made}
 
     def prior(self) -> list[Group]:
         """Return the calibration as a correlated observation, so that its covariance enters the adjustment.
@@ -61,15 +125,27 @@ class CameraModel:
         """
         if self.covariance is None:
             return []
-        lens, taper = self.blocks()
-        k = len(self.estimated)
-        to_step = np.eye(len(self.covariance))
-        parts = [(lens, tuple(lens.columns.index(name) for name in self.estimated))]
-        if self.placed:
-            to_step[k:, k:] = np.linalg.inv(poses.euler_form_by_step(self.taper))
-            parts.append((taper, tuple(range(6))))
-        blocks, columns = zip(*((block, chosen) for block, chosen in parts if chosen), strict=True)
-        return [joint_prior(blocks, columns, to_step @ self.covariance @ to_step.T)]
+        blocks, to_step = self.blocks(), np.eye(len(self.covariance))
+        for name, camera in self.cameras.items():
+            at = [i for i, (of, entry) in enumerate(self.entries) if of == name and entry in poses.EULER]
+            if at:
+                to_step[np.ix_(at, at)] = np.linalg.inv(poses.euler_form_by_step(camera.pose))
+        placed = [self._place(blocks, *entry) for entry in self.entries]
+        rows = [[i for i, (block, _, _) in enumerate(placed) if block == name] for name in blocks]
+        order = [i for of_block in rows for i in of_block]
+        parts = [
+            (blocks[name], np.array([placed[i][1] for i in chosen]), np.array([placed[i][2] for i in chosen]))
+            for name, chosen in zip(blocks, rows, strict=True)
+            if chosen
+        ]
+        return [joint_prior(parts, (to_step @ self.covariance @ to_step.T)[np.ix_(order, order)])]
+
+    def _place(self, blocks: Mapping[str, Block], camera: str, name: str) -> tuple[str, int, int]:
+        """Return block, member and column of an entry."""
+        number = list(self.cameras).index(camera)
+        if name in poses.EULER:
+            return MOUNT if number else TAPER, number, poses.EULER.index(name)
+        return LENS, number, blocks[LENS].column(name)
 
 
 def camera_of(source: Result | CameraFile, more: OfCameraFile | None = None) -> CameraModel:
@@ -104,45 +180,55 @@ def camera_of_file(file: CameraFile, more: OfCameraFile) -> CameraModel:
         "camera: {uncertainty: {f: 1 px, ...}} gives its standard uncertainties",
     )
     return CameraModel(
-        lens,
-        taper,
-        file.image_size,
+        {"": HeldCamera(lens, taper, file.image_size)},
         file.convention,
-        tuple(name for name in lens if name in std),
+        tuple(("", name) for name in (*lens, *poses.EULER) if name in std),
         np.diag(ordered) ** 2 if ordered else None,
-        "x" in std,
         exact if file.program and not ordered else (),
     )
 
 
 def camera_of_result(result: Result) -> CameraModel:
-    """Return the camera of a calibration result, with its covariance; raises InputError unless its rig is cmm."""
+    """Return the camera of a calibration result, or its cameras, with their covariance.
+
+    Raises InputError unless its rig is cmm.
+    """
     if result.statistics.get("rig") != "cmm":
         raise InputError(
             f"the camera was calibrated with rig {result.statistics.get('rig')}; "
             "only rig cmm determines its place in the taper"
         )
-    if "cameras" in result.tables:
-        raise InputError("align-part reads a single camera: calibrate the one in the spindle with `camera:`")
     if "lens_shape" in result.tables:
         raise InputError(
             "align-part reads no camera of the model spline: calibrate it with the model opencv or fisheye"
         )
+    estimated = {estimate.name: (row, estimate.value) for row, estimate in enumerate(result.estimates)}
+    cameras, entries, rows = dict[str, HeldCamera](), list[tuple[str, str]](), list[int]()
+    for name, lens, size, images in _calibrated(result):
+        prefix = f"{name}." if name else ""
+        at = np.array([estimated[prefix + key][1] for key in poses.EULER])
+        cameras[name] = HeldCamera(lens, poses.pose_from_euler(at[:3], at[3:]), size, images)
+        known = [key for key in (*lens, *poses.EULER) if prefix + key in estimated]
+        entries += [(name, key) for key in known]
+        rows += [estimated[prefix + key][0] for key in known]
+    covariance = result.covariance[np.ix_(rows, rows)]
+    return CameraModel(cameras, str(result.statistics["convention"]), tuple(entries), covariance)
+
+
+def _calibrated(result: Result) -> Iterator[tuple[str, dict[str, float], tuple[int, int], str]]:
+    """Yield name, lens, size and names of the images of each camera of a result."""
     table = result.tables["camera"]
-    lens = dict(zip(table.texts("parameter"), table.numbers("value").tolist(), strict=True))
-    values = {estimate.name: estimate.value for estimate in result.estimates}
-    at = np.array([values[name] for name in poses.EULER])
-    size = (int(_number(result, "image_width")), int(_number(result, "image_height")))
-    estimated = tuple(name for name in values if name in lens)
-    delivered = len(estimated) + len(poses.EULER)
-    return CameraModel(
-        lens,
-        poses.pose_from_euler(at[:3], at[3:]),
-        size,
-        str(result.statistics["convention"]),
-        estimated,
-        result.covariance[:delivered, :delivered],
-    )
+    named = list(zip(table.texts("parameter"), table.numbers("value").tolist(), strict=True))
+    cameras = result.tables.get("cameras")
+    if cameras is None:
+        yield "", dict(named), (int(_number(result, "image_width")), int(_number(result, "image_height"))), "*"
+        return
+    images = cameras.texts("images") if "images" in cameras else [""] * len(cameras)
+    sizes = cameras.stacked(("image_width", "image_height")).astype(int).tolist()
+    of = table.texts("camera")
+    for name, (width, height), shape in zip(cameras.texts("camera"), sizes, images, strict=True):
+        lens = {key: value for camera, (key, value) in zip(of, named, strict=True) if camera == name}
+        yield name, lens, (width, height), shape
 
 
 def _number(result: Result, name: str) -> float:

@@ -7,10 +7,11 @@ from collections.abc import Iterator
 import numpy as np
 
 from metrocli import units
+from metrocli.adjust.model.quantities import Quantity
 from metrocli.diagnosis.adjusted_job import AdjustedJob, Delivered
 from metrocli.geometry import poses
 from metrocli.instruments import spindle_camera as spindle
-from metrocli.instruments.camera import LENS, TAPER, TARGET
+from metrocli.instruments.camera import LENS, TARGET
 from metrocli.table import Table
 from metrocli.tasks.align_part import KIND
 from metrocli.tasks.align_part.effects import EFFECTS
@@ -21,20 +22,21 @@ from metrocli.tasks.shared.images.covariates import at_solution, covariate, cova
 from metrocli.tasks.shared.images.eccentricity import diameters
 from metrocli.tasks.shared.uncontrolled import SCALE, SCALE_WORDS, Hidden, table_of
 
+_OF_ONE = ("focal-change", "principal-point-shift", "radial-distortion", "rolling-shutter")
+_ALONE = "it is sought in the images of one camera: name that one alone under `cameras`"
+
 
 def adjusted_job(problem: AlignmentProblem, adjusted: AdjustedImages) -> AdjustedJob:
     """Return an adjusted alignment as input of `diagnose`; cross-validation holds out whole images."""
     model = at_solution(problem.model, adjusted)
-    index, blocks = model.readings[0].observations.index, model.blocks
+    group, blocks = model.readings[0], model.blocks
+    index = group.observations.index
     points = blocks[TARGET].values[index[TARGET]]
     held = blocks[spindle.SPINDLE].values
-    angle = float(blocks[spindle.COUPLING].values[0, 0])
-    into = spindle.part_in_camera(blocks[spindle.PART].values[0], held, angle, blocks[TAPER].values[0])
-    in_camera = poses.apply(into[index["view"]], points).T
     turn = poses.rotation_of(held)[index["view"]]
     about = np.arctan2(turn[:, 1, 0], turn[:, 0, 0])
     known = [
-        *covariates(model, in_camera),
+        *covariates(model, group.chain.until(Quantity.POINT_IN_CAMERA).predict(blocks, group.observations)),
         covariate("place of the target", points.T, 2),
         covariate("place of the spindle", held[index["view"], :3].T, 2),
         covariate("turn of the spindle", np.stack([np.cos(about), np.sin(about)]), 2),
@@ -53,6 +55,7 @@ def adjusted_job(problem: AlignmentProblem, adjusted: AdjustedImages) -> Adjuste
         single_components=True,
         sharing=len(np.unique(index["view"])),
         made_together=("image",),
+        not_sought=dict.fromkeys(_OF_ONE, _ALONE) if problem.camera.several else {},
     )
 
 
@@ -102,11 +105,8 @@ def _rows(problem: AlignmentProblem, adjusted: AdjustedImages) -> Iterator[Hidde
         "a target of known place in the machine",
     )
     if not blocks[LENS].free.any():
-        lens, index = blocks[LENS].named(), adjusted.group.observations.index
-        angle = float(blocks[spindle.COUPLING].values[0, 0])
-        held = blocks[spindle.SPINDLE].values[index[spindle.SPINDLE]]
-        to_camera = spindle.part_in_camera(blocks[spindle.PART].values[0], held, angle, blocks[TAPER].values[0])
-        depth = poses.apply(to_camera, blocks[TARGET].values[index[TARGET]])[:, 2]
+        lens, group = blocks[LENS].named(), adjusted.group
+        depth = group.chain.until(Quantity.POINT_IN_CAMERA).predict(blocks, group.observations)[2]
         yield Hidden(
             "cx and cy of the camera file, taken as exact, or its image_size (the part across the view)",
             "1 px",

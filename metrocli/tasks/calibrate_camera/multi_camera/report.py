@@ -113,7 +113,9 @@ def _cameras(system: CameraSystem, solution: Solution) -> Table:
     named = [system.cameras[name].images for name in mount.members]
     own = {"camera [text]": mount.members, "images [text]": named}
     of_size = {"image_width": sizes[:, 0], "image_height": sizes[:, 1]}
-    return Table.of({**own, **of_size, **pose_columns(mount.values, solution.covariance_or_raise().members(camera.MOUNT))})
+    return Table.of(
+        {**own, **of_size, **pose_columns(mount.values, solution.covariance_or_raise().members(camera.MOUNT))}
+    )
 
 
 def _statistics(system: CameraSystem, adjusted: AdjustedImages, residuals: Residuals) -> Statistics:

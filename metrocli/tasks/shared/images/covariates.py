@@ -37,10 +37,10 @@ def covariates(model: Model, in_camera: Array) -> list[Covariate]:
     """Return the covariates of all image jobs; `in_camera` (3, n) mm are the targets in the camera's frame."""
     group = model.readings[0]
     observations = group.observations
-    lens = model.blocks[LENS].named()
+    lens, of = model.blocks[LENS], observations.index.get(LENS, np.zeros(1, dtype=np.intp))
     conditions, view = observations.conditions, observations.index["view"].astype(float)
     # Predicted image points: the readings would put their own noise into the covariates.
-    off = group.chain.predict(model.blocks, observations) - np.array([[lens["cx"]], [lens["cy"]]])
+    off = group.chain.predict(model.blocks, observations) - lens.values[:, lens.mask(("cx", "cy"))][of].T
     order = covariate("order of the images", view, 5)
     if ELAPSED in conditions:
         order = covariate("t_s", conditions[ELAPSED], 5)
@@ -73,12 +73,16 @@ def folds(unit: Index) -> Mapping[str, Index]:
 def refit(datum: Datum | None) -> Callable[[Model, Mapping[str, Mask]], Solution]:
     """Return a function that adjusts a model to the readings kept.
 
-    Poses of images without a reading are held fixed.
+    Poses of images without a reading are held fixed, unless something else is known of them.
     """
 
     def adjusted(model: Model, keep: Mapping[str, Mask]) -> Solution:
         groups = [group.selected(keep[group.name]) if group.name in keep else group for group in model.groups]
-        blocks = [_without_the_unread(block, groups[0].observations.index) for block in model.blocks.values()]
+        known = {name for group in groups[1:] for name in group.chain.blocks}
+        index = groups[0].observations.index
+        blocks = [
+            block if block.name in known else _without_the_unread(block, index) for block in model.blocks.values()
+        ]
         return adjust(blocks, groups, datum, StoppingRule())
 
     return adjusted
