@@ -4,7 +4,8 @@
 `opencv`: the pose of the right camera of OpenCV's stereo images by cv2.stereoCalibrate with the same lenses.
 `halves`: z between the halves of those images, with `noise: structured`, over random halvings.
 
-`aligned`: z of a part that both cameras of a rig see, or one of them, from a rig calibrated anew (benchmarks/apart).
+`aligned`: z of a part that both cameras of a rig see, one of them, or a camera of the model spline, calibrated anew
+(benchmarks/apart).
 
     python -m benchmarks rigs [simulated | opencv | halves | aligned] [COUNT]
 """
@@ -200,9 +201,9 @@ def halves(count: int) -> bool:
 
 
 def aligned(count: int) -> bool:
-    """Print the root mean square z of the pose of a part, seen by both cameras and by the right one alone."""
+    """Print the root mean square z of a part, seen by two cameras, by the second of them, and by one with a spline."""
     met = []
-    for names in (("left", "right"), ("right",)):
+    for names in (("left", "right"), ("right",), ("wide",)):
         z = []
         for number in range(count):
             with tempfile.TemporaryDirectory() as name:

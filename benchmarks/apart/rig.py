@@ -1,4 +1,6 @@
-"""Two cameras fixed to each other in a spindle, calibrated in the taper, and images of a part: drawn by numpy alone.
+"""Cameras in a spindle, calibrated in the taper, and their images of a part: drawn by numpy alone.
+
+Left and right are fixed to each other; wide is alone, and its lens has a shape that no polynomial has.
 
 The camera in the machine is at `R_CNC R_S d_cal + d_CNC`, turned by `R_CNC R_S R_cal`.
 """
@@ -13,12 +15,14 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks.apart.model import Array
 
-SIZES = {"left": (1280, 960), "right": (1600, 1200)}
+SIZES = {"left": (1280, 960), "right": (1600, 1200), "wide": (960, 720)}
 LENSES = {"left": (1100.0, 645.0, 470.0, -0.2), "right": (1400.0, 790.0, 605.0, -0.15)}
+LENSES["wide"] = (750.0, 485.0, 350.0, -0.2)
 """f, cx, cy, k1"""
 HELD = {
     "left": (Rotation.from_rotvec([0.01, -0.02, 0.3]), np.array([-60.0, 4.0, -310.0])),
     "right": (Rotation.from_rotvec([-0.03, -0.25, 0.28]), np.array([85.0, -3.0, -300.0])),
+    "wide": (Rotation.from_rotvec([0.01, -0.02, 0.3]), np.array([-6.0, 4.0, -310.0])),
 }
 """In the taper"""
 PART, SHIFT, CLAMPED = Rotation.from_euler("xyz", [0.02, -0.03, 0.4]), np.array([40.0, -30.0, 250.0]), 0.012
@@ -37,6 +41,7 @@ noise: 0.1 px
 %s
 output: cam.h5
 """
+WIDE = "camera: {image_size: [960, 720], model: spline}"
 CAMERAS = """cameras:
   left: {images: "left*.png", image_size: [1280, 960], estimate: [f, cx, cy, k1]}
   right: {images: "right*.png", image_size: [1600, 1200], estimate: [f, cx, cy, k1]}"""
@@ -48,12 +53,21 @@ output: part.h5
 """
 
 
+def _bump(uv: Array) -> Array:
+    """Return the shape of the wide lens, a shift of about 0.4 px."""
+    wave = np.stack([np.sin(uv[:, 1] / 80), np.cos(uv[:, 0] / 100)], axis=1) * 0.25
+    off = uv - [300, 450]
+    hill: Array = wave + np.exp(-(off**2).sum(axis=1, keepdims=True) / 2 / 100**2) * off / 110
+    return hill
+
+
 def _rows(image: str, points: Array, lens: Sequence[float], rng: np.random.Generator | None) -> list[str]:
     """Return what an image shows of points (n, 3) in its camera."""
     f, cx, cy, k1 = lens
     x, y = points[:, 0] / points[:, 2], points[:, 1] / points[:, 2]
     radial = 1 + k1 * (x * x + y * y)
     uv = np.stack([f * x * radial + cx, f * y * radial + cy], axis=1)
+    uv += _bump(uv) if image.startswith("wide") else 0
     uv += 0 if rng is None else rng.normal(0, NOISE, uv.shape)
     size = SIZES[image.rstrip("0123456789")]
     inside = ((uv > 0) & (uv < np.array(size) - 1)).all(axis=1)
@@ -72,11 +86,13 @@ def _listed(points: Array) -> list[str]:
 def write_jobs(folder: Path, rng: np.random.Generator | None, names: Sequence[str] = ("left", "right")) -> None:
     """Write the jobs cam.yaml and job.yaml with their files; without a generator there is no noise.
 
-    `names` are the cameras that see the part; both are calibrated.
+    `names` are the cameras that see the part: left, right or both, which are calibrated together, or wide.
     """
-    field = np.random.default_rng(7).uniform([-130, -110, 30], [130, 110, 260], (70, 3))
+    wide = "wide" in names
+    field = np.random.default_rng(7).uniform([-200, -160, -50], [200, 160, 200], (900 if wide else 70, 3))
     calibrated, seen = list[str](), list[str]()
-    for name, (turn, place) in HELD.items():
+    for name in names if wide else ("left", "right"):
+        turn, place = HELD[name]
         calibrated += _rows(f"{name}1", turn.inv().apply(field - place), LENSES[name], rng)
     c, s = np.cos(CLAMPED), np.sin(CLAMPED)
     clamped = Rotation.from_matrix([[c, s, 0], [-s, c, 0], [0, 0, 1]])
@@ -93,6 +109,7 @@ def write_jobs(folder: Path, rng: np.random.Generator | None, names: Sequence[st
     write(folder / "field.csv", "targets", _listed(field))
     write(folder / "obs.csv", "seen", seen)
     write(folder / "targets.csv", "targets", _listed(TARGETS))
-    write(folder / "poses.csv", "poses", [",".join(map(str, (i, *at, *angles))) for i, (at, angles) in SPINDLE.items()])
-    (folder / "cam.yaml").write_text(CALIBRATION % CAMERAS)
+    named = {f"wide{i}.png" if wide else i: pose for i, pose in SPINDLE.items()}
+    write(folder / "poses.csv", "poses", [",".join(map(str, (i, *at, *angles))) for i, (at, angles) in named.items()])
+    (folder / "cam.yaml").write_text(CALIBRATION % (WIDE if wide else CAMERAS))
     (folder / "job.yaml").write_text(JOB)

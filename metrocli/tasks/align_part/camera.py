@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from metrocli.adjust.model.blocks import Block, Space
+from metrocli.adjust.model.chain import Chain
 from metrocli.adjust.model.groups import Group, joint_prior
 from metrocli.arrays import Array
+from metrocli.effects.links.lens_shape import SHAPE, KnownShape, LensShape, unshifted
 from metrocli.errors import Fault, InputError
 from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.imageset import ImageSet
+from metrocli.instruments import spindle_camera as spindle
 from metrocli.instruments.camera import LENS, MOUNT, TAPER, mount_block
-from metrocli.instruments.lenses.lens import PARAMETERS
+from metrocli.instruments.lenses.lens import PARAMETERS, direction
 from metrocli.result import Result
+from metrocli.tasks.shared.images.calibrated import DIRECTIONS, SHAPE_COVARIANCE, stated_cameras
 from metrocli.tasks.shared.images.exposures import Exposures, exposures
 from metrocli.tasks.shared.images.settings import CameraFile, OfCameraFile
 from metrocli.words import in_a_row
@@ -34,6 +38,12 @@ class HeldCamera:
     image_size: tuple[int, int]
     images: str = "*"
     """Names of its images, with one *; empty if it takes none"""
+    shape: KnownShape | None = None
+
+    def direction(self, uv: Array, convention: str) -> Array:
+        """Return vectors (3, n), of any length, to what is seen at image points (2, n)."""
+        u, v = unshifted(uv, self.shape)
+        return direction(self.lens, u, v, convention)
 
 
 @dataclass(frozen=True)
@@ -47,6 +57,8 @@ class CameraModel:
     """Camera and estimate (lens parameter, or x y z alpha beta gamma) of each row of the covariance"""
     covariance: Array | None = None
     """None: the camera is exact"""
+    directions: Array | None = None
+    """D (coefficients, k) of what is not known of the shape of a lens, `D w`; None without a shape"""
     warnings: tuple[str, ...] = ()
 
     @property
@@ -116,7 +128,23 @@ class CameraModel:
             Block(TAPER, pose[:1], poses.COLUMNS, free=held, space=Space.POSE),
             *([mount_block(np.stack([np.zeros(6), *pose[1:]]), tuple(self.cameras), np.inf)] if self.several else []),
         ]
-        return {block.name: block for block in made}
+        return {block.name: block for block in (*made, *self._shape_block())}
+
+    def _shape_block(self) -> list[Block]:
+        """Return the block of the shape of a lens: the shift that is known, once, and what is not known of it."""
+        if self.directions is None:
+            return []
+        values = np.eye(1, 1 + self.directions.shape[1])
+        columns = ("known", *(f"w{k}" for k in range(1, values.shape[1])))
+        return [Block(SHAPE, values, columns, free=values == 0)]
+
+    def chain(self, spread: Array | None = None) -> Chain:
+        """Return the forward model of an image point; `spread` as for `spindle_camera.chain`."""
+        whole = spindle.chain(self.convention, self.several, spread)
+        shape = next(iter(self.cameras.values())).shape
+        if shape is None or self.directions is None:
+            return whole
+        return whole.spliced([LensShape(shape.knots, np.column_stack([shape.coefficients.ravel(), self.directions]))])
 
     def prior(self) -> list[Group]:
         """Return the calibration as a correlated observation, so that its covariance enters the adjustment.
@@ -145,7 +173,8 @@ class CameraModel:
         number = list(self.cameras).index(camera)
         if name in poses.EULER:
             return MOUNT if number else TAPER, number, poses.EULER.index(name)
-        return LENS, number, blocks[LENS].column(name)
+        block = LENS if name in blocks[LENS].columns else SHAPE
+        return block, number, blocks[block].column(name)
 
 
 def camera_of(source: Result | CameraFile, more: OfCameraFile | None = None) -> CameraModel:
@@ -184,55 +213,36 @@ def camera_of_file(file: CameraFile, more: OfCameraFile) -> CameraModel:
         file.convention,
         tuple(("", name) for name in (*lens, *poses.EULER) if name in std),
         np.diag(ordered) ** 2 if ordered else None,
-        exact if file.program and not ordered else (),
+        warnings=exact if file.program and not ordered else (),
     )
 
 
 def camera_of_result(result: Result) -> CameraModel:
     """Return the camera of a calibration result, or its cameras, with their covariance.
 
-    Raises InputError unless its rig is cmm.
+    Raises InputError unless its rig is cmm, and for a lens whose shape has no covariance.
     """
     if result.statistics.get("rig") != "cmm":
         raise InputError(
             f"the camera was calibrated with rig {result.statistics.get('rig')}; "
             "only rig cmm determines its place in the taper"
         )
-    if "lens_shape" in result.tables:
-        raise InputError(
-            "align-part reads no camera of the model spline: calibrate it with the model opencv or fisheye"
-        )
     estimated = {estimate.name: (row, estimate.value) for row, estimate in enumerate(result.estimates)}
     cameras, entries, rows = dict[str, HeldCamera](), list[tuple[str, str]](), list[int]()
-    for name, lens, size, images in _calibrated(result):
-        prefix = f"{name}." if name else ""
+    for stated in stated_cameras(result):
+        prefix = f"{stated.name}." if stated.name else ""
         at = np.array([estimated[prefix + key][1] for key in poses.EULER])
-        cameras[name] = HeldCamera(lens, poses.pose_from_euler(at[:3], at[3:]), size, images)
-        known = [key for key in (*lens, *poses.EULER) if prefix + key in estimated]
-        entries += [(name, key) for key in known]
+        pose = poses.pose_from_euler(at[:3], at[3:])
+        cameras[stated.name] = HeldCamera(stated.lens, pose, stated.size, stated.images, stated.shape)
+        known = [key for key in (*stated.lens, *poses.EULER) if prefix + key in estimated]
+        entries += [(stated.name, key) for key in known]
         rows += [estimated[prefix + key][0] for key in known]
-    covariance = result.covariance[np.ix_(rows, rows)]
-    return CameraModel(cameras, str(result.statistics["convention"]), tuple(entries), covariance)
-
-
-def _calibrated(result: Result) -> Iterator[tuple[str, dict[str, float], tuple[int, int], str]]:
-    """Yield name, lens, size and names of the images of each camera of a result."""
-    table = result.tables["camera"]
-    named = list(zip(table.texts("parameter"), table.numbers("value").tolist(), strict=True))
-    cameras = result.tables.get("cameras")
-    if cameras is None:
-        yield "", dict(named), (int(_number(result, "image_width")), int(_number(result, "image_height"))), "*"
-        return
-    images = cameras.texts("images") if "images" in cameras else [""] * len(cameras)
-    sizes = cameras.stacked(("image_width", "image_height")).astype(int).tolist()
-    of = table.texts("camera")
-    for name, (width, height), shape in zip(cameras.texts("camera"), sizes, images, strict=True):
-        lens = {key: value for camera, (key, value) in zip(of, named, strict=True) if camera == name}
-        yield name, lens, (width, height), shape
-
-
-def _number(result: Result, name: str) -> float:
-    value = result.statistics[name]
-    if isinstance(value, (int, float)):
-        return float(value)
-    raise InputError(f"the camera result has no number '{name}' among its statistics")
+    convention, covariance = str(result.statistics["convention"]), result.covariance
+    directions = result.arrays.get(DIRECTIONS)
+    if directions is None and any(camera.shape is not None for camera in cameras.values()):
+        raise InputError("the result does not state how uncertain the shape of the lens is: calibrate the camera anew")
+    if directions is not None:
+        covariance, shape = result.arrays[SHAPE_COVARIANCE], range(directions.shape[1])
+        entries += [("", f"w{k + 1}") for k in shape]
+        rows += [len(covariance) - len(shape) + k for k in shape]
+    return CameraModel(cameras, convention, tuple(entries), covariance[np.ix_(rows, rows)], directions)

@@ -18,7 +18,6 @@ from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.instruments import spindle_camera as spindle
 from metrocli.instruments.camera import TARGET, list_datum, target_block
-from metrocli.instruments.lenses.lens import direction
 from metrocli.tasks.align_part.camera import CameraModel
 from metrocli.tasks.align_part.effects import EFFECTS, EXPANSION
 from metrocli.tasks.align_part.fitted_targets import TargetList
@@ -113,8 +112,7 @@ def build(
         *spindle.machine_blocks(motion.spread),
     )
     blocks = camera.blocks() | {block.name: block for block in made}
-    chain = spindle.chain(camera.convention, camera.several, motion.spread)
-    group = Group(IMAGES, chain, _of_exposures(exposed, sighted.observations))
+    group = Group(IMAGES, camera.chain(motion.spread), _of_exposures(exposed, sighted.observations))
     others: tuple[Group, ...] = (
         *camera.prior(),
         *listed.priors(blocks[TARGET], targets.sigma, free),
@@ -168,7 +166,7 @@ def _start(
     seen = np.full((3, uv.shape[1]), np.nan)
     for number, one in enumerate(camera.cameras.values()):
         mine = of == number
-        seen[:, mine] = direction(one.lens, uv[0, mine], uv[1, mine], camera.convention)
+        seen[:, mine] = one.direction(uv[:, mine], camera.convention)
     seen = np.where(np.isfinite(seen[0]), seen, [[0.0], [0.0], [1.0]])
     points = sighted.targets.points[sighted.target]
     at, in_taper = held[exposed.exposure[sighted.view]], camera.in_taper[of]
@@ -214,7 +212,7 @@ def true_model(
     )
     blocks = {name: block.fixed() for name, block in camera.blocks().items()}
     blocks |= {block.name: block for block in made}
-    group = image_group(shown, seen, spindle.chain(camera.convention, camera.several))
+    group = image_group(shown, seen, camera.chain())
     group = group.with_observations(_of_exposures(exposed, group.observations))
     places = places_of(exposed.names, shown[0].targets.names)
     return Model(blocks, (group,), None, (IMAGES,), places, nominal={TARGET: shown[0].targets.points})

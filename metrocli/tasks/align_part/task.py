@@ -154,6 +154,7 @@ def simulate(job: Job[Settings, Files], options: SimulationOptions) -> Simulatio
             model.convention,
             times,
             name,
+            one.shape,
         )
         for (name, one), in_taper in zip(model.cameras.items(), model.in_taper, strict=True)
         if one.images

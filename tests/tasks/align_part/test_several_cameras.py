@@ -1,4 +1,4 @@
-"""A part seen by several cameras that are fixed to each other."""
+"""A part seen by several cameras that are fixed to each other, and by one whose lens has a shape."""
 
 from __future__ import annotations
 
@@ -108,9 +108,28 @@ def test_a_wrong_pose_of_the_spindle_is_that_of_all_cameras(noisy: Path, metrocl
     effect = "bad-pose:image=2,dx=0.3mm,dy=0mm,dz=0mm"
     assert metrocli("simulate", *job, "--seed", 3, "--out", noisy.parent / "new", "--effect", effect).code == 0
     seen_in = {row.split(",")[0] for row in rows_of(noisy.parent / "new/observations.csv", "")}
-    assert seen_in == {f"{name}{exposure}.png" for name in rig.HELD for exposure in rig.SPINDLE}
+    assert seen_in == {f"{name}{exposure}.png" for name in ("left", "right") for exposure in rig.SPINDLE}
     found = json.loads(metrocli("diagnose", *job, "--quick", "--json").out)["effects"]
     assert [(one["name"], one["where"]) for one in found] == [("bad-pose", {"image": "2"})]
+
+
+def test_a_lens_with_a_shape_locates_the_part(tmp_path: Path, metrocli: Metrocli) -> None:
+    rig.write_jobs(tmp_path, np.random.default_rng(6), ("wide",))
+    assert metrocli("calibrate-camera", tmp_path / "cam.yaml").code == 0
+    ran = metrocli("align-part", tmp_path / "job.yaml", "--json")
+    assert json.loads(ran.out)["statistics"]["sigma0"] == pytest.approx(1.0, abs=0.15)  # by the base lens alone it is 1.7
+    found = estimates(ran)
+    z = [(found[name]["value"] - value) / found[name]["std"] for name, value in rig.TRUTH.items()]
+    assert np.abs(z).max() < 3.5
+
+
+def test_what_a_spline_simulates_it_finds_again(tmp_path: Path, metrocli: Metrocli) -> None:
+    rig.write_jobs(tmp_path, np.random.default_rng(6), ("wide",))
+    assert metrocli("calibrate-camera", tmp_path / "cam.yaml").code == 0
+    job = [tmp_path / "job.yaml", *given({"simulation": SIMULATION, "inputs.observations": "new/observations.csv"})]
+    assert metrocli("simulate", *job, "--set", "noise=1e-6 px", "--out", tmp_path / "new").code == 0
+    found = estimates(metrocli("align-part", *job, "--json"))
+    assert {name: one["value"] for name, one in found.items()} == pytest.approx({**rig.TRUTH, "gamma_s": 0.0}, abs=1e-5)
 
 
 def rows_of(file: Path, begin: str) -> list[str]:

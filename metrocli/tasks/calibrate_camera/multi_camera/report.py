@@ -19,6 +19,7 @@ from metrocli.tasks.calibrate_camera import KIND
 from metrocli.tasks.calibrate_camera.advice import correlation_warnings
 from metrocli.tasks.calibrate_camera.multi_camera.system import CameraSystem
 from metrocli.tasks.shared.images.adjustment import AdjustedImages
+from metrocli.tasks.shared.images.calibrated import CAMERAS
 from metrocli.tasks.shared.images.camera_parameters import (
     POSE_UNITS,
     Parameters,
@@ -30,9 +31,6 @@ from metrocli.tasks.shared.images.camera_parameters import (
 from metrocli.tasks.shared.images.exposures import IMAGE
 from metrocli.tasks.shared.images.tables import adjustment_notes, image_statistics, image_tables, image_warnings
 from metrocli.tasks.shared.statistics import Statistics, chi_interval, noise_notes, noise_warnings
-
-CAMERAS = "cameras"
-"""Table of the cameras: image size and pose of each"""
 
 
 def delivered(system: CameraSystem) -> tuple[str, ...]:

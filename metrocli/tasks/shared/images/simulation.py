@@ -13,6 +13,7 @@ from metrocli.adjust.model.observations import Observations
 from metrocli.arrays import Array, Index, Mask, Picture
 from metrocli.effects.estimates import true_values
 from metrocli.effects.extension import extended
+from metrocli.effects.links.lens_shape import KnownShape, shifted, unshifted
 from metrocli.effects.model import Model
 from metrocli.effects.wanted import Wanted
 from metrocli.errors import InputError, UsageError
@@ -50,6 +51,8 @@ class SimulatedCamera:
     """Time and temperature of each image, (images,)"""
     name: str = ""
     """Of one of several cameras"""
+    shape: KnownShape | None = None
+    """Shift of the image points over the image that the lens has besides"""
 
 
 def true_targets(listed: TargetCoordinates, rng: np.random.Generator) -> TargetCoordinates:
@@ -118,7 +121,7 @@ def _projected(shown: SimulatedCamera, image: int, chosen: Index) -> tuple[Array
     z = np.linalg.norm(points, axis=1) if fisheye else np.where(front, points[:, 2], 1.0)
     flat = equidistant(points.T) if fisheye else None
     x, y = (points[:, 0] / z, points[:, 1] / z) if flat is None else (flat.x, flat.y)
-    u, v = _distorted(shown, x, y)
+    u, v = shifted(np.stack(_distorted(shown, x, y)), shown.shape)
     size = (
         max(shown.lens.get("f", 0.0), shown.lens.get("fx", 0.0)) * np.nan_to_num(shown.targets.radius[chosen]) / z
         + _MARGIN
@@ -134,7 +137,8 @@ def _mapped(shown: SimulatedCamera, x: Array, y: Array, u: Array, v: Array) -> M
 
     The lens polynomial folds over far outside the image, so that points out of sight are mapped back into it.
     """
-    back_x, back_y = ideal_point(shown.lens, u, v, shown.convention)
+    base_u, base_v = unshifted(np.stack([u, v]), shown.shape)
+    back_x, back_y = ideal_point(shown.lens, base_u, base_v, shown.convention)
     return np.hypot(back_x - x, back_y - y) < _ASTRAY
 
 
@@ -233,7 +237,8 @@ def drawer(shown: SimulatedCamera, pattern: Pattern, image: int, chosen: list[in
 
 
 def _rays(shown: SimulatedCamera, uv: Array) -> Array:
-    seen = direction(shown.lens, uv[:, 0], uv[:, 1], shown.convention).T
+    base_u, base_v = unshifted(uv.T, shown.shape)
+    seen = direction(shown.lens, base_u, base_v, shown.convention).T
     unit: Array = seen / np.linalg.norm(seen, axis=1, keepdims=True)
     return unit
 
