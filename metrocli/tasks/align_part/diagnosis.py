@@ -23,7 +23,7 @@ from metrocli.tasks.shared.images.eccentricity import diameters
 from metrocli.tasks.shared.uncontrolled import SCALE, SCALE_WORDS, Hidden, table_of
 
 _OF_ONE = ("focal-change", "principal-point-shift", "radial-distortion", "rolling-shutter")
-_ALONE = "it is sought in the images of one camera: name that one alone under `cameras`"
+_ALONE = "it is sought in the images of one camera: leave out those of the others"
 
 
 def adjusted_job(problem: AlignmentProblem, adjusted: AdjustedImages) -> AdjustedJob:
@@ -55,7 +55,7 @@ def adjusted_job(problem: AlignmentProblem, adjusted: AdjustedImages) -> Adjuste
         single_components=True,
         sharing=len(np.unique(index["view"])),
         made_together=("image",),
-        not_sought=dict.fromkeys(_OF_ONE, _ALONE) if problem.camera.several else {},
+        not_sought=dict.fromkeys(_OF_ONE, _ALONE) if len(np.unique(index.get(LENS, 0))) > 1 else {},
     )
 
 
