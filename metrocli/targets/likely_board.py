@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 
 from metrocli.arrays import Picture
+from metrocli.targets.aprilgrid import tags_in
 from metrocli.targets.charuco import markers_in
 from metrocli.targets.chessboard import shown_size
 from metrocli.targets.find import find
@@ -19,8 +20,8 @@ _SIDE = 1000
 """Chessboards are searched in images reduced to about this longer side, in pixels"""
 _SHARE = 0.5
 """A board is likely if more than this share of the images shows it"""
-_MARKERS = 6
-"""Fewest markers in an image of a ChArUco board"""
+_MARKERS, _TAGS = 6, 4
+"""Fewest markers in an image of a ChArUco board, and tags in one of an AprilTag grid"""
 
 
 def likely_board(pattern: Pattern, pictures: Iterable[Picture]) -> str:
@@ -32,8 +33,10 @@ def likely_board(pattern: Pattern, pictures: Iterable[Picture]) -> str:
     size = max(sizes, key=sizes.count, default=None)
     if size is not None and sizes.count(size) > _SHARE * len(reduced):
         return _in_words(size, "" if pattern.type == "chessboard" else "type: chessboard, ")
-    if pattern.type == "charuco":
+    if pattern.type in ("charuco", "aprilgrid"):
         return ""  # its search has named other layouts and dictionaries
+    if sum(len(tags_in(picture)[0]) >= _TAGS for picture in reduced) > _SHARE * len(reduced):
+        return "AprilTags with a border of two cells: is it type: aprilgrid?"
     names = [name for name, count in map(markers_in, reduced) if count >= _MARKERS]
     name = max(names, key=names.count, default="")
     likely = names.count(name) > _SHARE * len(reduced)

@@ -117,7 +117,9 @@ def test_a_lens_with_a_shape_locates_the_part(tmp_path: Path, metrocli: Metrocli
     rig.write_jobs(tmp_path, np.random.default_rng(6), ("wide",))
     assert metrocli("calibrate-camera", tmp_path / "cam.yaml").code == 0
     ran = metrocli("align-part", tmp_path / "job.yaml", "--json")
-    assert json.loads(ran.out)["statistics"]["sigma0"] == pytest.approx(1.0, abs=0.15)  # by the base lens alone it is 1.7
+    assert json.loads(ran.out)["statistics"]["sigma0"] == pytest.approx(
+        1.0, abs=0.15
+    )  # by the base lens alone it is 1.7
     found = estimates(ran)
     z = [(found[name]["value"] - value) / found[name]["std"] for name, value in rig.TRUTH.items()]
     assert np.abs(z).max() < 3.5

@@ -16,7 +16,7 @@ from metrocli.frozen import dataclass
 from metrocli.imageset import ImageSet
 from metrocli.table import Columns, Table, columns
 from metrocli.targets.find import find
-from metrocli.targets.pattern import Pattern
+from metrocli.targets.pattern import CORNERS, Pattern
 from metrocli.tasks.shared.images.eccentricity import SIZE
 from metrocli.tasks.shared.images.settings import ImageSettings
 from metrocli.tasks.shared.images.target_list import TargetCoordinates, known_targets
@@ -155,7 +155,7 @@ def _eccentric(settings: ImageSettings, sighted: Sighted, measured: bool) -> boo
             "eccentricity: correct needs the radius of every target: "
             "a column radius_mm in the targets file, or the pattern's diameter"
         )
-    circular = settings.pattern is not None and settings.pattern.type not in ("chessboard", "charuco")
+    circular = settings.pattern is not None and settings.pattern.type not in CORNERS
     automatic = settings.eccentricity == "auto" and measured and circular
     return known and (settings.eccentricity == "correct" or automatic)
 
