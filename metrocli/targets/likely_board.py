@@ -27,16 +27,17 @@ _MARKERS, _TAGS = 6, 4
 def likely_board(pattern: Pattern, pictures: Iterable[Picture]) -> str:
     """Return the board that most pictures show and the keys to write for it; empty if none is likely."""
     reduced = [_reduced(picture) for picture in pictures]
+    if sum(len(tags_in(picture)[0]) >= _TAGS for picture in reduced) > _SHARE * len(reduced):
+        own = pattern.type == "aprilgrid"  # its search has named what does not fit
+        return "" if own else "AprilTags with a border of two cells: is it type: aprilgrid?"
     if pattern.type in ("circles", "asymmetric-circles") and (size := _likely_circles(pattern, reduced)):
         return _in_words(size, "")
     sizes = [size for picture in reduced if (size := shown_size(picture)) is not None]
     size = max(sizes, key=sizes.count, default=None)
     if size is not None and sizes.count(size) > _SHARE * len(reduced):
         return _in_words(size, "" if pattern.type == "chessboard" else "type: chessboard, ")
-    if pattern.type in ("charuco", "aprilgrid"):
+    if pattern.type == "charuco":
         return ""  # its search has named other layouts and dictionaries
-    if sum(len(tags_in(picture)[0]) >= _TAGS for picture in reduced) > _SHARE * len(reduced):
-        return "AprilTags with a border of two cells: is it type: aprilgrid?"
     names = [name for name, count in map(markers_in, reduced) if count >= _MARKERS]
     name = max(names, key=names.count, default="")
     likely = names.count(name) > _SHARE * len(reduced)

@@ -8,6 +8,7 @@ import numpy.typing as npt
 import pytest
 
 from metrocli.targets.find import find
+from metrocli.targets.likely_board import likely_board
 from metrocli.targets.pattern import Pattern, pattern_points
 
 Array = npt.NDArray[np.float64]
@@ -73,3 +74,9 @@ def test_a_part_of_the_grid_is_enough() -> None:
 def test_another_board_is_refused(pattern: Pattern, words: str) -> None:
     found = find(pattern, seen(printed(), 0.2)[0])
     assert not len(found) and words in found.reason
+
+
+def test_a_grid_that_is_no_chessboard_is_named() -> None:
+    image = seen(printed(), 0.2)[0]
+    assert "type: aprilgrid" in likely_board(Pattern("chessboard", 9, 6, 25.0), [image])
+    assert not likely_board(Pattern("aprilgrid", 3, 4, 26.0, marker_size=20.0), [image])
