@@ -6,7 +6,6 @@ Method: docs/algorithms/evidence.md.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -148,7 +147,7 @@ def _showing(state: State, less: State, units: Sequence[str]) -> tuple[str, floa
 def _visible(state: State, part: Random) -> float:
     """Return the share of a correlated error that the unknowns leave in the readings (root mean square)."""
     m = state.measurement
-    basis = replace(m.system.basis, shared=np.zeros((m.system.rows, 0)))
+    basis = m.system.basis.of_members
     whole = float((part.columns**2).sum())
     order, begins = m.by_member
     if part.local:

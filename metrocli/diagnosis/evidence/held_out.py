@@ -107,9 +107,11 @@ class Fold:
 
     def grams(self, number: int, basis: Basis) -> Array:
         """Return the Gram matrices of a family's alternatives at the held-out rows, without what local columns take."""
-        key = number, basis.local.shape[1]
+        key, here = (number, basis.local.shape[1]), ("basis", basis.local.shape[1])
+        if here not in self._held:
+            self._held[here] = basis.at(self.rows)
         if key not in self._held:
-            self._held[key] = self.candidates(number).grams(basis.at(self.rows))
+            self._held[key] = self.candidates(number).grams(self._held[here])
         return np.asarray(self._held[key])
 
     @cached_property

@@ -66,10 +66,6 @@ class IdentifiedEffect:
     """Norm of its visible part in the readings, in standard deviations of the declared noise"""
     aliases: tuple[Alias, ...] = ()
 
-    def is_at(self, other: IdentifiedEffect) -> bool:
-        """Return whether another is the same effect with the same parameters."""
-        return self.alternative == other.alternative and np.array_equal(self.values, other.values)
-
     @property
     def held(self) -> tuple[str, ...]:
         """The parameters taken as 0, because the readings do not determine them beside the others."""

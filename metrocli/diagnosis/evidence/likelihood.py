@@ -8,6 +8,7 @@ columns. Method: docs/algorithms/evidence.md.
 from __future__ import annotations
 
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 
@@ -45,6 +46,16 @@ class Products:
     """Of the local columns of each member, (members, k, k)"""
     mixed: Array
     """Of these with the shared columns, and last with the residual, (members, k, p + 1)"""
+    parts: tuple[tuple[object, int], ...] = ()
+    """Keys of the shared parts and of the local ones, with their numbers of columns"""
+
+    @cached_property
+    def places(self) -> dict[object, tuple[int, int]]:
+        """First column of each shared part, and that after its last."""
+        ends = np.cumsum([0, *(size for _, size in self.parts)]).tolist()
+        return {
+            key: (a, b) for (key, _), (a, b) in zip(self.parts, pairwise(ends), strict=True) if b <= len(self.right)
+        }
 
     @cached_property
     def counts(self) -> Array:

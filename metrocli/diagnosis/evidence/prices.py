@@ -31,7 +31,7 @@ DRAWS = 300
 """Draws of white noise by which dependent tests are counted"""
 
 
-def gain_of_columns(explained: Array, rank: Array, squares: float, dof: float) -> Array:
+def gain_of_columns(explained: Array, rank: Array, squares: float | Array, dof: float | Array) -> Array:
     """Return ln of the evidence of columns at their likeliest size, beside a fit with some squares and freedoms.
 
     The size has a g-prior. With `f = (T/q)/((S - T)/(nu - q))`, T the squares explained and q the rank, it is

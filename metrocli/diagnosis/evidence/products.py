@@ -6,7 +6,6 @@ Method: docs/algorithms/evidence.md.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -33,7 +32,7 @@ def local_part(m: Measurement, own: Array, x: Array) -> Array:
 
 def within(m: Measurement, columns: Array) -> Array:
     """Return columns (rows, k) without what the local unknowns absorb."""
-    basis = replace(m.system.basis, shared=np.zeros((m.system.rows, 0)))
+    basis = m.system.basis.of_members
     return columns - basis.combined(basis.coordinates(columns)) if basis.members else columns
 
 
@@ -103,43 +102,42 @@ def local_columns(m: Measurement, random: Sequence[Random]) -> Array:
 
 
 def products_of(
-    m: Measurement, fixed: Sequence[Fixed], random: Sequence[Random], with_unknowns: bool = False
+    m: Measurement,
+    fixed: Sequence[Fixed],
+    random: Sequence[Random],
+    with_unknowns: bool = False,
+    known: Products | None = None,
 ) -> Products:
     """Return the products of all columns of a state, those of the unknowns where members have errors, or if asked.
 
-    Products of two parts are computed once.
+    Products of two parts are computed once. `known` are those of a state that has some of the parts.
     """
     local = _local_parts(m, random)
     with_unknowns |= bool(local)
-    residual = "residual", m.system.residual[:, None]
-    shared = [*shared_parts(m, fixed, random, with_unknowns), residual]
-    sizes = [one.shape[1] for _, one in shared]
-    ends = np.cumsum([0, *sizes])
-    gram = np.empty((ends[-1], ends[-1]))
-    for i, first in enumerate(shared):
-        rows = slice(ends[i], ends[i + 1])
-        for j in range(i, len(shared)):
-            block = _product(m, first, shared[j])
-            gram[rows, ends[j] : ends[j + 1]] = block
-            gram[ends[j] : ends[j + 1], rows] = block.T
-    unknowns = sizes[0] if with_unknowns else 0
+    shared = shared_parts(m, fixed, random, with_unknowns)
+    parts = tuple((key, one.shape[1]) for key, one in (*shared, *local))
+    if known is not None and known.parts == parts:
+        return known
+    gram, right = _gram(m, shared, known)
+    unknowns = shared[0][1].shape[1] if with_unknowns else 0
     kinds = [np.full(unknowns, -1)]
     kinds += [np.full(one.columns.shape[1], j) for j, one in enumerate(random) if not one.local]
     kinds += [np.full(one.rank, -1) for one in fixed]
     of_local = [np.full(one.columns.shape[1], j) for j, one in enumerate(random) if one.local]
     empty, members = np.zeros(0, dtype=np.intp), m.system.basis.members if local else 0
     own = np.zeros((members, 0, 0))
-    mixed = np.zeros((members, 0, ends[-1]))
+    mixed = np.zeros((members, 0, len(right) + 1))
     if local:
+        with_residual = [*shared, ("residual", m.system.residual[:, None])]
         own = np.concatenate(
             [np.concatenate([_of_members(m, one, other) for other in local], axis=2) for one in local], axis=1
         )
         mixed = np.concatenate(
-            [np.concatenate([_of_members(m, one, other) for other in shared], axis=2) for one in local], axis=1
+            [np.concatenate([_of_members(m, one, other) for other in with_residual], axis=2) for one in local], axis=1
         )
     return Products(
-        gram[:-1, :-1],
-        gram[:-1, -1],
+        gram,
+        right,
         m.squares,
         m.dof,
         unknowns,
@@ -147,7 +145,29 @@ def products_of(
         np.concatenate([*of_local, empty]).astype(np.intp),
         own,
         mixed,
+        parts,
     )
+
+
+def _gram(m: Measurement, shared: Sequence[tuple[object, Array]], known: Products | None) -> tuple[Array, Array]:
+    """Return the products of shared parts with each other and with the residual, as far as possible from known ones."""
+    ends = np.cumsum([0, *(one.shape[1] for _, one in shared)])
+    gram, right = np.empty((ends[-1], ends[-1])), np.empty(ends[-1])
+    at = {} if known is None else known.places
+    old = [i for i, (key, _) in enumerate(shared) if key in at]
+    if known is not None and old:
+        here = np.concatenate([np.arange(ends[i], ends[i + 1]) for i in old])
+        there = np.concatenate([np.arange(*at[shared[i][0]]) for i in old])
+        gram[np.ix_(here, here)], right[here] = known.gram[np.ix_(there, there)], known.right[there]
+    residual = "residual", m.system.residual[:, None]
+    for i in sorted({*range(len(shared))} - {*old}):
+        rows = slice(ends[i], ends[i + 1])
+        right[rows] = _product(m, shared[i], residual)[:, 0]
+        for j, other in enumerate(shared):
+            block = _product(m, shared[i], other) if i <= j else _product(m, other, shared[i]).T
+            gram[rows, ends[j] : ends[j + 1]] = block
+            gram[ends[j] : ends[j + 1], rows] = block.T
+    return gram, right
 
 
 def _product(m: Measurement, one: tuple[object, Array], other: tuple[object, Array]) -> Array:

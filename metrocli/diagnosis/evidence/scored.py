@@ -13,7 +13,7 @@ from typing import Any, Self
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
-from metrocli.diagnosis.evidence.likelihood import Fit, fit_at, likeliest
+from metrocli.diagnosis.evidence.likelihood import Fit, Products, fit_at, likeliest
 from metrocli.diagnosis.evidence.measurement import LENGTHS, Measurement
 from metrocli.diagnosis.evidence.parts import EFFECT, READINGS, SCATTER, UNKNOWN, Fixed, Random
 from metrocli.diagnosis.evidence.prices import FURTHER, PRIOR, gain_of_columns
@@ -56,12 +56,9 @@ def _in_turn(gram: Array, right: Array, ranks: Sequence[int], squares: float, do
     found = np.linalg.solve(lower, right / scale) ** 2
     # a column that depends on those before it explains nothing
     found = np.where(np.diag(lower) > 1e-5, found, 0.0)
-    total, at = 0.0, 0
-    for rank in ranks:
-        t = float(found[at : at + rank].sum())
-        total += float(gain_of_columns(np.array(t), np.array(rank), squares, dof))
-        squares, dof, at = max(squares - t, 1e-300), dof - rank, at + rank
-    return total
+    after = np.cumsum(np.concatenate([[0.0], found]))[np.cumsum([0, *ranks])]
+    left, free = np.maximum(squares - after[:-1], 1e-300), dof - np.cumsum([0, *ranks])[:-1]
+    return float(gain_of_columns(np.diff(after), np.array(ranks), left, free).sum())
 
 
 TRIAL = 2
@@ -87,9 +84,10 @@ class Scored:
         random: Sequence[Random] = (),
         logs: Sequence[float] | Array = (),
         steps: int = 12,
+        known: Products | None = None,
     ) -> Self:
-        """Return a state, its sizes estimated from some on."""
-        products = products_of(measurement, fixed, random)
+        """Return a state, its sizes estimated from some on; `known` are the products of some of its parts."""
+        products = products_of(measurement, fixed, random, known=known)
         most = np.array([one.most for one in random])
         fit = likeliest(products, np.array(logs, dtype=float), most, steps)
         return cls(measurement, tuple(fixed), tuple(random), fit)
@@ -169,7 +167,9 @@ class Scored:
     ) -> Self:
         """Return the state with further parts, all sizes estimated anew."""
         every = (*self.random, *random)
-        return type(self).of(self.measurement, (*self.fixed, *fixed), every, (*self.logs, *logs), steps)
+        return type(self).of(
+            self.measurement, (*self.fixed, *fixed), every, (*self.logs, *logs), steps, self.fit.products
+        )
 
     def minus(self, parts: Sequence[Fixed | Random], steps: int = TRIAL) -> Self:
         """Return the state without some parts, all sizes estimated anew."""
@@ -177,17 +177,17 @@ class Scored:
         kept = [j for j, one in enumerate(self.random) if id(one) not in gone]
         fixed = [one for one in self.fixed if id(one) not in gone]
         random = [self.random[j] for j in kept]
-        return type(self).of(self.measurement, fixed, random, self.logs[kept], steps)
+        return type(self).of(self.measurement, fixed, random, self.logs[kept], steps, self.fit.products)
 
     def beside(self, one: Fixed) -> Self:
         """Return the state without a fixed part, at the same sizes of the random parts."""
         others = [other for other in self.fixed if other is not one]
-        return type(self).of(self.measurement, others, self.random, self.logs, 0)
+        return type(self).of(self.measurement, others, self.random, self.logs, 0, self.fit.products)
 
     def with_fixed(self, number: int, one: Fixed) -> Self:
         """Return the state with another fixed part in the place of one."""
         fixed = (*self.fixed[:number], one, *self.fixed[number + 1 :])
-        return type(self).of(self.measurement, fixed, self.random, self.logs, TRIAL)
+        return type(self).of(self.measurement, fixed, self.random, self.logs, TRIAL, self.fit.products)
 
     def at(self, measurement: Measurement, random: bool = True) -> Self:
         """Return the state of the same parts, or of the fixed ones, in the measurement with other weights."""
@@ -199,7 +199,7 @@ class Scored:
 
     def settled(self) -> Self:
         """Return the state with all sizes estimated until they stay."""
-        return type(self).of(self.measurement, self.fixed, self.random, self.logs) if self.random else self
+        return self.plus(steps=12) if self.random else self
 
 
 def remade(m: Measurement, one: Random) -> Random:

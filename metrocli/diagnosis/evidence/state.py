@@ -47,9 +47,8 @@ class State(Scored):
     @cached_property
     def own(self) -> Basis:
         """Columns of the local unknowns and of the errors of single members."""
-        system, errors = self.measurement.system, self._by_members
-        local = np.concatenate([system.basis.local, errors], axis=1) if errors.shape[1] else system.basis.local
-        return replace(system.basis, local=local, shared=np.zeros((system.rows, 0)))
+        alone, errors = self.measurement.system.basis.of_members, self._by_members
+        return replace(alone, local=np.concatenate([alone.local, errors], axis=1)) if errors.shape[1] else alone
 
     @cached_property
     def entered(self) -> Array:

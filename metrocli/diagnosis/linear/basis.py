@@ -55,6 +55,11 @@ class Basis:
         ends = np.concatenate([[0], np.cumsum(there * q)])
         return csr_matrix((self.local[there].ravel(), columns, ends), shape=(rows, self.members * q))
 
+    @cached_property
+    def of_members(self) -> Basis:
+        """The local columns alone."""
+        return replace(self, shared=np.zeros((len(self.local), 0)))
+
     def coordinates(self, values: Array) -> Array:
         """Return `b' values`, (columns, ...), of values (rows, ...)."""
         flat, sparse, shared = flat_columns(values), self._sparse, self.shared
@@ -84,11 +89,6 @@ class Basis:
         some = (own[start : start + _AT_ONCE] for start in range(0, max(len(own), 1), _AT_ONCE))
         parts = ((self.local[part], self.shared[part]) for part in some)
         return np.concatenate([sum(np.einsum("rk,rk->r", part, part) for part in both) for both in parts])
-
-    @cached_property
-    def gram_of_shared(self) -> Array:
-        """The products of the shared columns with each other, (k, k)."""
-        return self.shared.T @ self.shared
 
     @property
     def trace(self) -> float:
@@ -182,7 +182,7 @@ class Basis:
         log_det = 2 * float(np.log(np.einsum("mqq->mq", lower)).sum())
         inverse = np.linalg.inv(lower)
         own = np.where(there[:, None], np.einsum("rq,rpq->rp", local, inverse[self.member]), 0.0)
-        bare = replace(self, local=own, shared=np.zeros((len(own), 0)))
+        bare = replace(self.of_members, local=own)
         shared = self.shared * factor[:, None]
         shared -= bare.combined(bare.coordinates(shared))
         if shared.shape[1]:
@@ -195,59 +195,10 @@ class Basis:
         """Return some rows of all columns, (rows, columns)."""
         return np.concatenate([self._sparse[rows].toarray(), self.shared[rows]], axis=1)
 
-    def part(self, rows: Mask) -> GramOfRows:
-        """Return the Gram matrix of some rows (mask)."""
-        _, q = self.local.shape
-        own = rows & (self.member >= 0)
-        values, member = self.local[own], self.member[own]
-        local = np.empty((self.members, q, q))
-        for i, j in combinations_with_replacement(range(q), 2):
-            local[:, i, j] = local[:, j, i] = np.bincount(member, values[:, i] * values[:, j], self.members)
-        shared = self.shared[rows]
-        return GramOfRows(local, self._sparse[rows].T @ shared, shared.T @ shared)
-
-    def squares_of_gram(self, rows: Mask) -> tuple[float, float]:
-        """Return trace and sum of squares of the Gram matrix of some rows (mask)."""
-        own = np.flatnonzero(rows)
-        if len(own) < self.shared.shape[1]:
-            # the products of few rows with each other have the same trace and squares
-            among = self.products(own, own)
-            return float(np.trace(among)), float((among**2).sum())
-        if np.bincount(self.member[own] + 1, minlength=2)[1:].max() <= 1:
-            # one row for each member: the columns of members that they use are orthogonal
-            shared = self.shared[own].T @ self.shared[own]
-            of_local, of_shared = ((part[own] ** 2).sum(axis=1) for part in (self.local, self.shared))
-            squares = of_local @ (of_local + 2 * of_shared) + (shared**2).sum()
-            return float(of_local.sum() + np.trace(shared)), float(squares)
-        gram = self.part(rows)
-        return gram.trace, gram.product(gram)
-
     def holds_whole_members(self, rows: Index) -> bool:
         """Whether some rows contain all rows of each local member that they use."""
         there, whole = (np.bincount(part + 1, minlength=self.members + 1) for part in (self.member[rows], self.member))
         return bool(((there == 0) | (there == whole))[1:].all())
-
-
-@dataclass(frozen=True)
-class GramOfRows:
-    """Gram matrix of some rows of a basis: blocks of the members, their products with the shared columns, the rest."""
-
-    local: Array
-    """(members, q, q)"""
-    mixed: Array
-    """(members*q, k)"""
-    shared: Array
-    """(k, k)"""
-
-    def product(self, other: GramOfRows) -> float:
-        """Return the trace of the product of two of them."""
-        parts = ((self.local * other.local).sum(), 2 * (self.mixed * other.mixed).sum())
-        return float(sum(parts) + (self.shared * other.shared).sum())
-
-    @property
-    def trace(self) -> float:
-        """The sum of squares of the rows."""
-        return float(np.einsum("mqq->", self.local) + np.trace(self.shared))
 
 
 def members_of_equal_size(member: Index, members: int) -> Iterator[tuple[Index, Index]]:

@@ -62,11 +62,6 @@ class Candidate:
         """Return whether it differs from another alternative in the values of scanned parameters at most."""
         return (self.form, self.parameters, self.named) == (other.form, other.parameters, other.named)
 
-    def far_from(self, other: Candidate) -> float:
-        """Return the distance of its scanned parameters from those of another alternative."""
-        own = dict(self.scanned)
-        return sum(abs(own[key] - value) for key, value in other.scanned)
-
     @property
     def words(self) -> str:
         """Cause, form and place in words."""

@@ -27,15 +27,6 @@ def log_tail(share: Array, q: float, rest: float) -> Array:
     return np.asarray(np.where(tail > _TINY, np.log(np.maximum(tail, _TINY)), leading))
 
 
-def log_levels(share: Array, rank: Array, dof: float) -> Array:
-    """Return ln of the p-value of candidates that take a share of the squares with `rank` of `dof` directions, (k,)."""
-    share, levels = np.clip(share, 0.0, 1.0), np.zeros(len(share))
-    for q in np.unique(rank[rank > 0]):
-        if dof > q:
-            levels[rank == q] = log_tail(share[rank == q], float(q), dof - q)
-    return np.minimum(levels, 0.0)
-
-
 def log_family(log_p: Array | float, tests: float) -> Array:
     """Return ln of `1 - (1 - p)^tests`, the level of the smallest p-value of `tests` independent tests."""
     p = np.exp(np.asarray(log_p, dtype=float))

@@ -65,13 +65,6 @@ def quadratic(gram: Array, right: Array, scale: Array) -> tuple[Array, Array]:
     return (along**2).sum(axis=1), ranks_of(root)
 
 
-def quadratic_of(gram: Array, right: Array, scale: Array) -> tuple[Array, Array]:
-    """Return the sum of `quadratic` over several right sides (k, q, m), and the rank of A."""
-    root = roots(gram, scale)
-    along = np.swapaxes(root, 1, 2) @ right
-    return (along**2).sum(axis=(1, 2)), ranks_of(root)
-
-
 def whitening(gram: Array, bound: float) -> tuple[Array, bool]:
     """Return the turn (q, k) that makes columns of a Gram matrix orthonormal, and whether one such step is enough.
 
