@@ -229,7 +229,7 @@ def main(arguments: list[str]) -> int:
     """Run what is named, or all."""
     count = next((int(one) for one in arguments if one.isdigit()), 0)
     tests = {"simulated": lambda: simulated(count or 100), "opencv": opencv, "halves": lambda: halves(count or 20)}
-    tests["aligned"] = lambda: aligned(count or 200)
+    tests["aligned"] = lambda: aligned(count or 300)
     chosen = [name for name in tests if name in arguments] or list(tests)
     met = [tests[name]() for name in chosen]
     return 0 if all(met) else 1
