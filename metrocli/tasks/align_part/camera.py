@@ -11,16 +11,16 @@ from metrocli.adjust.model.blocks import Block, Space
 from metrocli.adjust.model.chain import Chain
 from metrocli.adjust.model.groups import Group, joint_prior
 from metrocli.arrays import Array
-from metrocli.effects.links.lens_shape import SHAPE, KnownShape, LensShape, unshifted
+from metrocli.effects.links.lens_shape import SHAPE, LensShape
 from metrocli.errors import Fault, InputError
 from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.imageset import ImageSet
 from metrocli.instruments import spindle_camera as spindle
 from metrocli.instruments.camera import LENS, MOUNT, TAPER, mount_block
-from metrocli.instruments.lenses.lens import PARAMETERS, direction
+from metrocli.instruments.lenses.lens import PARAMETERS
 from metrocli.result import Result
-from metrocli.tasks.shared.images.calibrated import DIRECTIONS, SHAPE_COVARIANCE, stated_cameras
+from metrocli.tasks.shared.images.calibrated import DIRECTIONS, SHAPE_COVARIANCE, StatedCamera, stated_cameras
 from metrocli.tasks.shared.images.exposures import Exposures, exposures
 from metrocli.tasks.shared.images.settings import CameraFile, OfCameraFile
 from metrocli.words import in_a_row
@@ -29,30 +29,12 @@ _UNNAMED = 'the calibration does not state which images {} take: write `cameras:
 
 
 @dataclass(frozen=True)
-class HeldCamera:
-    """One calibrated camera and where it is held."""
-
-    lens: Mapping[str, float]
-    pose: Array
-    """In the taper, or in the frame of the first of several (6,)"""
-    image_size: tuple[int, int]
-    images: str = "*"
-    """Names of its images, with one *; empty if it takes none"""
-    shape: KnownShape | None = None
-
-    def direction(self, uv: Array, convention: str) -> Array:
-        """Return vectors (3, n), of any length, to what is seen at image points (2, n)."""
-        u, v = unshifted(uv, self.shape)
-        return direction(self.lens, u, v, convention)
-
-
-@dataclass(frozen=True)
 class CameraModel:
     """A calibrated camera in a taper, or several that are fixed to each other, of which the first is in the taper."""
 
-    cameras: Mapping[str, HeldCamera]
-    """By name; a single camera has none"""
-    convention: str
+    cameras: tuple[StatedCamera, ...]
+    taper: Array
+    """Pose of the camera, or of the first, in the taper (6,)"""
     entries: tuple[tuple[str, str], ...] = ()
     """Camera and estimate (lens parameter, or x y z alpha beta gamma) of each row of the covariance"""
     covariance: Array | None = None
@@ -62,6 +44,16 @@ class CameraModel:
     warnings: tuple[str, ...] = ()
 
     @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the cameras; that of a single one is empty."""
+        return tuple(camera.name for camera in self.cameras)
+
+    @property
+    def convention(self) -> str:
+        """The convention of all lenses."""
+        return self.cameras[0].convention
+
+    @property
     def several(self) -> bool:
         """Whether several cameras are fixed to each other."""
         return len(self.cameras) > 1
@@ -69,22 +61,26 @@ class CameraModel:
     @property
     def sizes(self) -> Array:
         """Width and height [px] of the images of each camera, (cameras, 2)."""
-        return np.array([camera.image_size for camera in self.cameras.values()], dtype=float)
+        return np.array([camera.size for camera in self.cameras], dtype=float)
+
+    @property
+    def mounts(self) -> Array:
+        """The pose of each camera in the frame of the first, (cameras, 6)."""
+        return np.stack([np.zeros(6) if camera.pose is None else camera.pose for camera in self.cameras])
 
     @property
     def in_taper(self) -> Array:
         """The pose of each camera in the taper, (cameras, 6)."""
-        first, *others = (camera.pose for camera in self.cameras.values())
-        return np.stack([first, *(poses.compose(first, other) for other in others)])
+        return poses.compose(self.taper, self.mounts)
+
+    @property
+    def images(self) -> dict[str, str]:
+        """The names of the images of each camera, with one *."""
+        return {camera.name: camera.images for camera in self.cameras}
 
     def exposed(self, images: Sequence[str]) -> Exposures:
         """Return the camera and the exposure of each image; raises InputError for images of no camera or of two."""
         return exposures(self.images, images)
-
-    @property
-    def images(self) -> dict[str, str]:
-        """The names of the images of each camera that takes some."""
-        return {name: camera.images for name, camera in self.cameras.items()}
 
     def with_images(self, images: Mapping[str, str] | None) -> CameraModel:
         """Return the model with these names of images, by camera; cameras that are not named take none.
@@ -93,40 +89,37 @@ class CameraModel:
         """
         if images is None:
             if not any(self.images.values()):
-                raise InputError(_UNNAMED.format(in_a_row(list(self.cameras)), next(iter(self.cameras))))
+                raise InputError(_UNNAMED.format(in_a_row(self.names), self.names[0]))
             return self
         if not self.several:
             raise InputError("cameras: the calibration is of a single camera, which took all images: leave it out")
-        if strange := [name for name in images if name not in self.cameras]:
-            known = in_a_row(list(self.cameras))
-            raise InputError([Fault(f"cameras: the calibration has no {in_a_row(strange)}", hint=f"it has {known}")])
-        named = {name: replace(camera, images=images.get(name, "")) for name, camera in self.cameras.items()}
+        if strange := [name for name in images if name not in self.names]:
+            message = f"cameras: the calibration has no {in_a_row(strange)}"
+            raise InputError([Fault(message, hint=f"it has {in_a_row(self.names)}")])
+        named = tuple(replace(camera, images=images.get(camera.name, "")) for camera in self.cameras)
         return replace(self, cameras=named)
 
     def must_fit(self, images: ImageSet) -> None:
         """Raise InputError if the images do not have the size with which their camera was calibrated."""
         exposed = self.exposed(images.names)
-        for name, camera in self.cameras.items():
-            if tuple(images.size) != tuple(camera.image_size) and name not in exposed.unused:
-                of = f"the camera {name}" if name else "the camera"
-                raise InputError(
-                    f"the images are {images.size[0]} x {images.size[1]} px, "
-                    f"{of} was calibrated with {camera.image_size[0]} x {camera.image_size[1]} px"
-                )
+        for camera in self.cameras:
+            if tuple(images.size) != tuple(camera.size) and camera.name not in exposed.unused:
+                (width, height), (w, h) = images.size, camera.size
+                of = f"the camera {camera.name}".rstrip()
+                raise InputError(f"the images are {width} x {height} px, {of} was calibrated with {w} x {h} px")
 
     def blocks(self) -> dict[str, Block]:
         """Return the blocks of lens, taper and, for several, mount; free if the calibration gives their covariance."""
-        named = {name for camera in self.cameras.values() for name in camera.lens}
+        named = {name for camera in self.cameras for name in camera.lens}
         # the effect radial-distortion needs k1, even if the calibration has none
         columns = tuple(name for name in PARAMETERS if name in named or name == "k1")
-        values = np.array([[camera.lens.get(name, 0.0) for name in columns] for camera in self.cameras.values()])
-        free = np.array([[(camera, name) in self.entries for name in columns] for camera in self.cameras])
-        pose = np.stack([camera.pose for camera in self.cameras.values()])
-        held = np.array((next(iter(self.cameras)), "x") in self.entries)
+        values = np.array([[camera.lens.get(name, 0.0) for name in columns] for camera in self.cameras])
+        free = np.array([[(camera, name) in self.entries for name in columns] for camera in self.names])
+        placed = np.array((self.names[0], "x") in self.entries)
         made = [
-            Block(LENS, values, columns, tuple(self.cameras), free, noun="camera"),
-            Block(TAPER, pose[:1], poses.COLUMNS, free=held, space=Space.POSE),
-            *([mount_block(np.stack([np.zeros(6), *pose[1:]]), tuple(self.cameras), np.inf)] if self.several else []),
+            Block(LENS, values, columns, self.names, free, noun="camera"),
+            Block(TAPER, self.taper[None], poses.COLUMNS, free=placed, space=Space.POSE),
+            *([mount_block(self.mounts, self.names, np.inf)] if self.several else []),
         ]
         return {block.name: block for block in (*made, *self._shape_block())}
 
@@ -141,7 +134,7 @@ class CameraModel:
     def chain(self, spread: Array | None = None) -> Chain:
         """Return the forward model of an image point; `spread` as for `spindle_camera.chain`."""
         whole = spindle.chain(self.convention, self.several, spread)
-        shape = next(iter(self.cameras.values())).shape
+        shape = self.cameras[0].shape
         if shape is None or self.directions is None:
             return whole
         return whole.spliced([LensShape(shape.knots, np.column_stack([shape.coefficients.ravel(), self.directions]))])
@@ -154,10 +147,10 @@ class CameraModel:
         if self.covariance is None:
             return []
         blocks, to_step = self.blocks(), np.eye(len(self.covariance))
-        for name, camera in self.cameras.items():
+        for name, pose in zip(self.names, [self.taper, *self.mounts[1:]], strict=True):
             at = [i for i, (of, entry) in enumerate(self.entries) if of == name and entry in poses.EULER]
             if at:
-                to_step[np.ix_(at, at)] = np.linalg.inv(poses.euler_form_by_step(camera.pose))
+                to_step[np.ix_(at, at)] = np.linalg.inv(poses.euler_form_by_step(pose))
         placed = [self._place(blocks, *entry) for entry in self.entries]
         rows = [[i for i, (block, _, _) in enumerate(placed) if block == name] for name in blocks]
         order = [i for of_block in rows for i in of_block]
@@ -170,7 +163,7 @@ class CameraModel:
 
     def _place(self, blocks: Mapping[str, Block], camera: str, name: str) -> tuple[str, int, int]:
         """Return block, member and column of an entry."""
-        number = list(self.cameras).index(camera)
+        number = self.names.index(camera)
         if name in poses.EULER:
             return MOUNT if number else TAPER, number, poses.EULER.index(name)
         block = LENS if name in blocks[LENS].columns else SHAPE
@@ -209,8 +202,8 @@ def camera_of_file(file: CameraFile, more: OfCameraFile) -> CameraModel:
         "camera: {uncertainty: {f: 1 px, ...}} gives its standard uncertainties",
     )
     return CameraModel(
-        {"": HeldCamera(lens, taper, file.image_size)},
-        file.convention,
+        (StatedCamera("", lens, file.convention, file.image_size),),
+        taper,
         tuple(("", name) for name in (*lens, *poses.EULER) if name in std),
         np.diag(ordered) ** 2 if ordered else None,
         warnings=exact if file.program and not ordered else (),
@@ -228,21 +221,19 @@ def camera_of_result(result: Result) -> CameraModel:
             "only rig cmm determines its place in the taper"
         )
     estimated = {estimate.name: (row, estimate.value) for row, estimate in enumerate(result.estimates)}
-    cameras, entries, rows = dict[str, HeldCamera](), list[tuple[str, str]](), list[int]()
-    for stated in stated_cameras(result):
-        prefix = f"{stated.name}." if stated.name else ""
-        at = np.array([estimated[prefix + key][1] for key in poses.EULER])
-        pose = poses.pose_from_euler(at[:3], at[3:])
-        cameras[stated.name] = HeldCamera(stated.lens, pose, stated.size, stated.images, stated.shape)
-        known = [key for key in (*stated.lens, *poses.EULER) if prefix + key in estimated]
-        entries += [(stated.name, key) for key in known]
+    cameras, entries, rows = tuple(stated_cameras(result)), list[tuple[str, str]](), list[int]()
+    first, *_ = prefixes = [f"{camera.name}." if camera.name else "" for camera in cameras]
+    for camera, prefix in zip(cameras, prefixes, strict=True):
+        known = [key for key in (*camera.lens, *poses.EULER) if prefix + key in estimated]
+        entries += [(camera.name, key) for key in known]
         rows += [estimated[prefix + key][0] for key in known]
-    convention, covariance = str(result.statistics["convention"]), result.covariance
+    at, covariance = np.array([estimated[first + key][1] for key in poses.EULER]), result.covariance
     directions = result.arrays.get(DIRECTIONS)
-    if directions is None and any(camera.shape is not None for camera in cameras.values()):
+    if directions is None and any(camera.shape is not None for camera in cameras):
         raise InputError("the result does not state how uncertain the shape of the lens is: calibrate the camera anew")
     if directions is not None:
         covariance, shape = result.arrays[SHAPE_COVARIANCE], range(directions.shape[1])
         entries += [("", f"w{k + 1}") for k in shape]
         rows += [len(covariance) - len(shape) + k for k in shape]
-    return CameraModel(cameras, convention, tuple(entries), covariance[np.ix_(rows, rows)], directions)
+    taper = poses.pose_from_euler(at[:3], at[3:])
+    return CameraModel(cameras, taper, tuple(entries), covariance[np.ix_(rows, rows)], directions)

@@ -164,9 +164,9 @@ def _start(
     """Return the starting pose of the part and the starting clamping angle: 0, or the best of twelve if 0 fails."""
     uv, of = sighted.observations.readings, exposed.camera[sighted.view]
     seen = np.full((3, uv.shape[1]), np.nan)
-    for number, one in enumerate(camera.cameras.values()):
+    for number, one in enumerate(camera.cameras):
         mine = of == number
-        seen[:, mine] = one.direction(uv[:, mine], camera.convention)
+        seen[:, mine] = one.direction(uv[:, mine])
     seen = np.where(np.isfinite(seen[0]), seen, [[0.0], [0.0], [1.0]])
     points = sighted.targets.points[sighted.target]
     at, in_taper = held[exposed.exposure[sighted.view]], camera.in_taper[of]

@@ -110,7 +110,7 @@ def solved(settings: Settings, problem: AlignmentProblem) -> AdjustedImages:
     """Adjust a problem; raises UndeterminedError or NotConvergedError if it has no good solution."""
     if settings.noise == STRUCTURED:
         must_suffice(len(problem.blocks[SPINDLE].members), "images")
-    largest = max((camera.image_size for camera in problem.camera.cameras.values()), key=max)
+    largest = max((camera.size for camera in problem.camera.cameras), key=max)
     options = Options(settings.outliers == "remove", settings.noise in FROM_RESIDUALS, largest)
     adjusted = adjust_images(problem.blocks, problem.images, problem.others, problem.datum, options)
     solution = adjusted.solution
@@ -147,16 +147,16 @@ def simulate(job: Job[Settings, Files], options: SimulationOptions) -> Simulatio
     shown = [
         SimulatedCamera(
             one.lens,
-            one.image_size,
+            one.size,
             tuple(one.images.replace("*", exposure) for exposure in exposures),
             part_in_camera(part, held, truth.clamping_angle, in_taper),
             known,
-            model.convention,
+            one.convention,
             times,
-            name,
+            one.name,
             one.shape,
         )
-        for (name, one), in_taper in zip(model.cameras.items(), model.in_taper, strict=True)
+        for one, in_taper in zip(model.cameras, model.in_taper, strict=True)
         if one.images
     ]
     sigma = settings.noise if isinstance(settings.noise, float) else START_NOISE

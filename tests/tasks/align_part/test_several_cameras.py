@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
@@ -98,6 +99,15 @@ def test_what_does_not_fit_the_cameras_is_refused(
     rig.write(noisy.parent / "wide.csv", "seen", wide)
     ran = metrocli("check", noisy, *given(keys))
     assert ran.code == 3 and words in ran.err, ran.err
+
+
+def test_images_of_another_size_are_refused(noisy: Path, metrocli: Metrocli) -> None:
+    for grey, name in enumerate(("left0.png", "right0.png")):
+        cv2.imwrite(str(noisy.parent / name), np.full((960, 1280), grey, np.uint8))
+    text = noisy.read_text().replace("observations: obs.csv", 'images: "*.png"')
+    noisy.write_text(text + "pattern: {type: coded-rings, diameter: 5 mm}\n")
+    ran = metrocli("check", noisy)
+    assert ran.code == 3 and "the camera right was calibrated with 1600 x 1200 px" in ran.err
 
 
 SIMULATION = "{part: {x: 40 mm, y: -30 mm, z: 250 mm, alpha: 0.02 rad, beta: -0.03 rad, gamma: 0.4 rad}}"

@@ -7,9 +7,10 @@ from collections.abc import Mapping
 import numpy as np
 
 from metrocli.arrays import Array
-from metrocli.effects.links.lens_shape import Knots, KnownShape
+from metrocli.effects.links.lens_shape import Knots, KnownShape, unshifted
 from metrocli.frozen import dataclass
 from metrocli.geometry import poses
+from metrocli.instruments.lenses.lens import direction
 from metrocli.result import Result
 
 CAMERAS, LENS_SHAPE = "cameras", "lens_shape"
@@ -29,10 +30,15 @@ class StatedCamera:
     convention: str
     size: tuple[int, int]
     images: str = "*"
-    """Names of its images, with one *; empty if the result has none"""
+    """Names of its images, with one *; empty if there are none"""
     pose: Array | None = None
     """In the frame of the first of several (6,); None for the first and for a single camera"""
     shape: KnownShape | None = None
+
+    def direction(self, uv: Array) -> Array:
+        """Return vectors (3, n), of any length, to what is seen at image points (2, n) px."""
+        u, v = unshifted(uv, self.shape)
+        return direction(self.lens, u, v, self.convention)
 
 
 def stated_cameras(result: Result) -> list[StatedCamera]:
