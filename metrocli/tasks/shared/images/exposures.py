@@ -17,8 +17,6 @@ from metrocli.words import in_a_row, listed
 
 IMAGE = "image"
 """Index of the observations that gives the image of each reading; `view` gives its exposure"""
-ANY_IMAGE = {"": "*"}
-"""A single camera, which takes all images: the exposures are the images"""
 
 
 @dataclass(frozen=True)
@@ -46,14 +44,15 @@ class Exposures:
 
 
 def exposures(cameras: Mapping[str, str], images: Sequence[str]) -> Exposures:
-    """Return the camera and the exposure of each image; `cameras` are names of images with one *, by camera.
+    """Return the camera and the exposure of each image.
 
-    Raises InputError for images of no camera or of two.
+    `cameras` are names of images with one *, by camera; a camera with an empty one takes none. All images of a single
+    camera, `*`, are exposures. Raises InputError for images of no camera or of two.
     """
     taken = [_taken(cameras, image) for image in images]
     wrong = [image for image, found in zip(images, taken, strict=True) if len(found) != 1]
     if wrong:
-        known = in_a_row([f"{name} {shape}" for name, shape in cameras.items()])
+        known = in_a_row([f"{name} {shape}" for name, shape in cameras.items() if shape])
         raise InputError([Fault(f"images of no camera, or of two: {listed(wrong, 5)}", hint=f"cameras have {known}")])
     names, exposure = np.unique([found[0][1] for found in taken], return_inverse=True)
     camera = np.array([found[0][0] for found in taken], dtype=np.intp)
