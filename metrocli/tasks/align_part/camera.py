@@ -71,7 +71,7 @@ class CameraModel:
     @property
     def in_taper(self) -> Array:
         """The pose of each camera in the taper, (cameras, 6)."""
-        return poses.compose(self.taper, self.mounts)
+        return np.stack([self.taper, *(poses.compose(self.taper, mount) for mount in self.mounts[1:])])
 
     @property
     def images(self) -> dict[str, str]:

@@ -107,11 +107,12 @@ def build(
     made = (
         spindle.part_block(pose, extent, distance),
         spindle.coupling_block(angle, free_angle),
+        *camera.blocks().values(),
         target_block(targets.points, targets.names, free, max(extent, 1.0)),
         spindle.spindle_block(held, exposed.names),
         *spindle.machine_blocks(motion.spread),
     )
-    blocks = camera.blocks() | {block.name: block for block in made}
+    blocks = {block.name: block for block in made}
     group = Group(IMAGES, camera.chain(motion.spread), _of_exposures(exposed, sighted.observations))
     others: tuple[Group, ...] = (
         *camera.prior(),
