@@ -144,10 +144,10 @@ def _extended(job: JobFile, diagnosis: Diagnosis, output: Path | None, force: bo
 
 def _data(job: JobFile, diagnosis: Diagnosis, extended: Path | None) -> dict[str, Any]:
     from metrocli.diagnosis import verdict
-    from metrocli.project import diagnosed
+    from metrocli.project.fingerprint import of_diagnosed
     from metrocli.project.inputs import input_files
 
-    of = diagnosed.identity(job.text, input_files(job))
+    of = of_diagnosed(job.text, input_files(job))
     return verdict.as_data(diagnosis) | {"extended_job": extended and str(extended), "of": of}
 
 

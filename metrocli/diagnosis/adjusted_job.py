@@ -15,6 +15,7 @@ from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Index, Mask, Observations
 from metrocli.adjust.solution import Solution
 from metrocli.effects.acting import Acting
+from metrocli.effects.covariates import Covariate
 from metrocli.effects.effect import Effect
 from metrocli.effects.model import Model
 from metrocli.frozen import dataclass
@@ -23,28 +24,6 @@ ABSURD = 10.0
 """Median residual, in declared standard deviations, above which mistakes in the files are tried"""
 BETTER = 10.0
 """How many times closer to the plausible a job must be after a correction"""
-PerReading = Mapping[str, Array]
-"""Values (n,) or (k, n) for each group of readings, by its name"""
-
-
-@dataclass(frozen=True)
-class Covariate:
-    """A quantity that an unknown effect could vary with; smooth functions of it are tried."""
-
-    name: str
-    """Its name in the file (t_s, temp_degC), or in words (beam direction)"""
-    values: PerReading
-    """Values (n,), or (k, n) if it has several coordinates, such as a direction"""
-    degree: int = 5
-    """Degree of the polynomials that are tried, or the highest harmonic"""
-    angle: bool = False
-    """Whether it is an angle, so that harmonics of it are tried"""
-    periodic: bool = False
-    """Whether sines of it are tried, over a scan of periods"""
-    together: bool = False
-    """Whether its coordinates (k, n) are the terms themselves, for all groups at once (e.g. an unknown rigid motion)"""
-    of_units: bool = False
-    """Whether errors over it are tried unit by unit only, because an effect is the error that all readings share"""
 
 
 @dataclass(frozen=True)
@@ -178,6 +157,8 @@ class AdjustedJob:
     """Those of them that are in its model at a fixed size; the search treats the residuals as if they were not"""
     sharing: int = 0
     """Number of parts (images) whose readings may share errors with `noise: structured`; 0 if the kind has no such"""
+    states_correlated: bool = False
+    """Whether a job of its kind can have correlated errors in its model"""
     patient: bool = False
     """Whether the search goes on beside dominant effects that were not adjusted"""
     not_sought: Mapping[str, str] = field(default_factory=dict)

@@ -69,7 +69,8 @@ def diagnose(
     A `quick` one looks for effects and wrong readings alone, and states nothing on what it does not find.
     Raises UndeterminedError if the unknowns use up all readings, InputError if it needs more memory than there is.
     """
-    job = replace(as_fits(job), budget=Budget(limit))
+    job = as_fits(job)
+    job = replace(job, model=job.model.about_no_scatter(), budget=Budget(limit))
     progress.doing("looking for structure", job.budget.left())
     with attended(job.budget.interrupt):
         first, state = searched(job, quick)

@@ -7,7 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from metrocli import units
 from metrocli.adjust.clusters.robust import ESTIMATED, FEWEST, FROM_RESIDUALS, STRUCTURED
+from metrocli.diagnosis.correlated_error import CorrelatedError
 from metrocli.diagnosis.evidence.identified import IdentifiedEffect
 from metrocli.diagnosis.findings import Diagnosis, RandomEffect
 from metrocli.effects.effect import Parameter
@@ -43,14 +45,34 @@ def scatter_as_job(scatter: RandomEffect) -> Mapping[str, str]:
     return {"name": effect.name, "std": _size(effect.parameters[0], scatter.std)}
 
 
+def proposed_correlated(diagnosis: Diagnosis) -> tuple[CorrelatedError, ...]:
+    """Return the correlated errors that the extended job states, so that its estimates and uncertainties have them.
+
+    Where single units (images) have errors of their own, those of the others are not alike either: `noise: structured`
+    takes them as they are.
+    """
+    job, errors = diagnosis.job, diagnosis.correlated_errors
+    alike = not any(error.place for error in errors) or job.sharing < FEWEST
+    return errors if alike and job.states_correlated and job.noise_model != STRUCTURED else ()
+
+
+def correlated_as_job(error: CorrelatedError) -> Mapping[str, str]:
+    """Return the entry of a correlated error in a job."""
+    size, symbol = units.column_unit(error.std, error.unit)
+    entry = {"covariate": error.covariate} | ({"by": error.by} if error.by else {})
+    entry |= {"only": error.place} if error.place else {}
+    return entry | {"length": f"{error.length:.6g}", "std": _written(float(f"{error.std / size:.3g}"), symbol)}
+
+
 def proposed_noise(diagnosis: Diagnosis) -> str:
     """Return the noise that the extended job takes, so that uncertainties include what is left; else ''.
 
     Left are structure and smooth errors that count as noise: uncertainties for white noise include neither.
     """
-    job = diagnosis.job
-    left = diagnosis.left is not None or diagnosis.correlated_errors
-    return STRUCTURED if left and job.sharing >= FEWEST and job.noise_model != STRUCTURED else ""
+    job, left = diagnosis.job, diagnosis.left
+    stated = {error.covariate for error in proposed_correlated(diagnosis)}
+    remains = not {*left.depends_on} <= stated if left is not None else bool(diagnosis.correlated_errors and not stated)
+    return STRUCTURED if remains and job.sharing >= FEWEST and job.noise_model != STRUCTURED else ""
 
 
 def as_job(name: IdentifiedEffect) -> Mapping[str, str]:

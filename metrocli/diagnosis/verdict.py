@@ -71,6 +71,7 @@ def _process(job: AdjustedJob, process: CorrelatedError) -> dict[str, Any]:
     return {
         "depends_on": process.covariate,
         "of_each": process.by or None,
+        "of": process.place or None,
         "length": process.length,
         "std": {"value": value, "std": std, "unit": symbol},
         "visible": process.visible,

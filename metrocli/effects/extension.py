@@ -33,11 +33,10 @@ def extended(model: Model, wanted: Iterable[Wanted]) -> Model:
 
     Raises InputError that lists every effect that cannot be added, with the reason.
     """
-    wanted = tuple(wanted)
+    wanted = tuple(request for request in wanted if request.correlation is None)
     if not wanted:
         return model
-    faults: list[Fault] = []
-    model = with_conditions(model)
+    model, faults = with_conditions(model), list[Fault]()
     for request in wanted:
         own = _misplaced(model, request)
         effect = None if own else _form(model, request)
@@ -168,9 +167,12 @@ def can_act_everywhere(model: Model, effect: Effect) -> bool:
     return bool(effect.common and all(model.places[key].index for key in effect.keys) and places_of(model, effect))
 
 
-def with_effect_everywhere(model: Model, effect: Effect, std: float) -> Model:
-    """Return the model with an effect at all its places, each with estimated sizes that scatter about 0 by `std`."""
-    model = with_effect(model, effect, places_of(model, effect), {})
+def with_effect_everywhere(
+    model: Model, effect: Effect, std: float, places: Sequence[tuple[str, ...]] | None = None
+) -> Model:
+    """Return the model with an effect at all its places, or at some, each with sizes that scatter about 0 by `std`."""
+    places = places_of(model, effect) if places is None else places
+    model = with_effect(model, effect, places, {})
     added = replace(model.added[-1], std=std)
     block = model.blocks[added.block]
     members = np.arange(int(not effect.is_smooth), len(block.members))
@@ -274,8 +276,7 @@ def _touched(model: Model, group: Group, effect: Effect, instances: Sequence[tup
     for number, instance in enumerate(instances, 1):
         here = np.ones(len(touched), dtype=bool)
         for key, name in zip(effect.keys, instance, strict=True):
-            place = model.places[key]
-            if place.index:
+            if (place := model.places[key]).index:
                 here &= group.observations.index[place.index] == place.names.index(name)
         touched[here] = number
     return touched
@@ -294,6 +295,6 @@ def _freed(model: Model, effect: Effect, instances: tuple[tuple[str, ...], ...],
         if parameter.name not in values and not free[rows, column].any():
             free[rows, column] = True
             columns.append(parameter.name)
-    changed = replace(block, values=moved, free=free)
     added = Added(effect, instances, block.name, tuple(columns))
-    return replace(model, blocks={**model.blocks, block.name: changed}, added=(*model.added, added))
+    blocks = {**model.blocks, block.name: replace(block, values=moved, free=free)}
+    return replace(model, blocks=blocks, added=(*model.added, added))

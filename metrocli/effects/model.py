@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import field, replace
 
+import numpy as np
+
 from metrocli.adjust.datum import Datum
 from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.groups import Group
@@ -79,3 +81,13 @@ class Model:
     def with_blocks(self, blocks: Mapping[str, Block]) -> Model:
         """Return the model with other values of its blocks."""
         return replace(self, blocks=dict(blocks))
+
+    def about_no_scatter(self) -> Model:
+        """Return the model with the sizes of random effects at 0, their mean.
+
+        Derivatives about estimated sizes contain these. An effect whose derivative the unknowns nearly absorb would
+        then have what is left of them as its signature, and take their prior with it.
+        """
+        random = {added.block for added in self.added if added.std}
+        zero = {name: self.blocks[name].with_values(np.zeros(self.blocks[name].values.shape)) for name in random}
+        return self.with_blocks({**self.blocks, **zero}) if random else self

@@ -9,7 +9,7 @@ from typing import Self
 from metrocli.adjust.datum import Datum
 from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.groups import Group
-from metrocli.effects.extension import extended
+from metrocli.effects.correlated import with_all
 from metrocli.effects.model import Added, Model
 from metrocli.effects.wanted import Wanted
 from metrocli.frozen import dataclass
@@ -50,5 +50,5 @@ class Modelled:
         return self.with_model(self.model.with_blocks(blocks))
 
     def with_effects(self, wanted: Iterable[Wanted]) -> Self:
-        """Return a copy whose model has the effects that a job names; raises InputError as `extended` does."""
-        return self.with_model(extended(self.model, wanted))
+        """Return a copy whose model has the effects that a job names; raises InputError as `with_all` does."""
+        return self.with_model(with_all(self.model, wanted))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+from metrocli.effects.covariates import Covariates, StatedCorrelation
 from metrocli.effects.effect import Effect
 from metrocli.errors import Fault, InputError
 from metrocli.frozen import dataclass
@@ -44,6 +45,8 @@ class Wanted:
     """Its position in the job file or command line, for messages"""
     std: float = 0.0
     """Standard deviation of the parameters at all places of its kind; 0 if it acts at one place"""
+    correlation: tuple[StatedCorrelation, Covariates] | None = None
+    """For a correlated error, which is no entry of the table: what the job states, and the covariates"""
 
     @property
     def name(self) -> str:
@@ -150,10 +153,13 @@ def _as(effect: Effect, node: Node) -> tuple[dict[str, Any], list[Fault]]:
 def planted(wanted: Iterable[Wanted]) -> tuple[Wanted, ...]:
     """Return the effects that a simulation contains: those whose parameters all have a value.
 
-    Effects that the job only estimates are left out. Raises InputError if an effect on the command line lacks a value.
+    Effects that the job only estimates, and correlated errors, are left out. Raises InputError if an effect on the
+    command line lacks a value.
     """
     missing = [
-        (request, [p.name for p in request.forms[0].parameters if p.name not in request.values]) for request in wanted
+        (request, [p.name for p in request.forms[0].parameters if p.name not in request.values])
+        for request in wanted
+        if request.correlation is None
     ]
     faults = [
         parameter.node.fault(f"{parameter.name}: {', '.join(names)} missing", _to_plant(parameter))

@@ -21,9 +21,11 @@ from metrocli.diagnosis.findings import Diagnosis
 from metrocli.diagnosis.job_entries import (
     MODEL,
     as_job,
+    correlated_as_job,
     declared_noise,
     declares,
     model_of,
+    proposed_correlated,
     proposed_noise,
     scatter_as_job,
     with_declared,
@@ -44,7 +46,6 @@ from metrocli.project import yaml_text
 from metrocli.project.inputs import read_inputs
 from metrocli.project.job import JobFile, JobOptions, load
 from metrocli.project.runner import counting, simulate
-from metrocli.record import InputFile
 from metrocli.simulation import SimulationOptions
 
 _STEPS = 400
@@ -128,15 +129,11 @@ def _adjuster(job: JobFile, more: Sequence[Variable] = ()) -> Callable[..., Adju
     def adjust(inputs: Mapping[str, object], settings: object = job.settings) -> AdjustedJob:
         other = adjusted(task.job(settings, effects=job.effects, **inputs))
         every = (*other.effects, *job.own.effects)
-        return replace(other, declared=declared, noise_model=model, effects=every, places=places)
+        stated = task.covariates is not None
+        other = replace(other, declared=declared, noise_model=model, states_correlated=stated)
+        return replace(other, effects=every, places=places)
 
     return adjust
-
-
-def identity(job_text: str, inputs: Sequence[InputFile]) -> dict[str, str]:
-    """Return the digest of a job as used, and that of its inputs, by which a diagnosis and a result are matched."""
-    files = "\n".join(sorted(f"{item.sha256} {item.path}" for item in inputs))
-    return {"job_sha256": _digest(job_text), "inputs_sha256": _digest(files)}
 
 
 def _digest(text: str) -> str:
@@ -157,16 +154,16 @@ def write_extended(
 ) -> Extended | None:
     """Write the job extended by the named effects, by default beside it as `NAME.extended.yaml`; return it.
 
-    `result` is the output of that job, by default `NAME.extended.h5` beside the output of this one. If structure is
-    left that no effect explains, the chosen law stands in it with `cause: unknown`, and its noise is structured, where
-    the kind has that. Where the job cannot be adjusted with that law, the next simpler one with which it can stands in
-    it, or none. Returns None if nothing changes.
+    `result` is the output of that job, by default `NAME.extended.h5` beside the output of this one. Structure that is
+    left stands in it as correlated errors, as a law with `cause: unknown` (the chosen one, or the next simpler one with
+    which the job can be adjusted), or as structured noise. Returns None if nothing changes.
     Raises InputError if the file there is no extended job or was edited since it was written, unless forced. Parameters
     that the readings do not determine separately are 0. In another folder, the paths lead to the same files.
     """
     path = path or job.file.with_name(f"{job.file.stem}.extended.yaml")
     confirmed = any(finding.confirmed for finding in diagnosis.findings)
-    others = bool(confirmed or diagnosis.scatters or proposed_noise(diagnosis) or _correction(diagnosis))
+    shared = proposed_noise(diagnosis) or proposed_correlated(diagnosis)
+    others = bool(confirmed or diagnosis.scatters or shared or _correction(diagnosis))
     if not others and diagnosis.law is None:
         return None
     if not force:
@@ -243,7 +240,12 @@ def _extended(
     job: JobFile, effects: Sequence[Node], defined: Sequence[Node], diagnosis: Diagnosis, to: tuple[Path, Path | None]
 ) -> Node:
     folder, result = to
-    below = {"define": _longer(job, "define", defined), "effects": _longer(job, "effects", effects)}
+    correlated = [node_of(job.root, correlated_as_job(error)) for error in proposed_correlated(diagnosis)]
+    below = {
+        "define": _longer(job, "define", defined),
+        "effects": _longer(job, "effects", effects),
+        "correlated": _longer(job, "correlated", correlated),
+    }
     output = result or job.output.with_name(f"{job.output.stem}.extended.h5")
     moved: Callable[[Node], Node] = lambda value: relocated(value, job.folder, folder)  # noqa: E731
     noise: Callable[[Node], Node] = lambda value: _noise(job, value, diagnosis)  # noqa: E731
@@ -280,16 +282,14 @@ def _corrected(job: JobFile, diagnosis: Diagnosis) -> Sequence[tuple[Node, Node]
 def _longer(job: JobFile, key: str, more: Sequence[Node]) -> Node:
     """Return the list under a key of a job with more entries."""
     listed = job.root.get(key)
-    items = (*(listed.items if listed is not None else ()), *more)
-    return replace(job.root, kind="list", text="", entries=(), items=items)
+    return replace(job.root, kind="list", text="", entries=(), items=(*(listed.items if listed else ()), *more))
 
 
 def _noise(job: JobFile, declared: Node, diagnosis: Diagnosis) -> Node:
     """Return the noise of a job with the scatters that it can declare, and the model that is proposed."""
     for scatter in diagnosis.scatters:
         declared = with_declared(declared, scatter) if declares(declared, scatter) else declared
-    model = proposed_noise(diagnosis)
-    return _with_model(job, declared, model) if model else declared
+    return _with_model(job, declared, model) if (model := proposed_noise(diagnosis)) else declared
 
 
 def _with_model(job: JobFile, declared: Node, model: str) -> Node:

@@ -46,6 +46,16 @@ def of_job(job: JobFile) -> str:
     return digest([heading, job.settings, images, effects, output, *packages], job.folder)
 
 
+def of_diagnosed(job_text: str, inputs: Iterable[InputFile]) -> dict[str, str]:
+    """Return the digest of a job as used, and that of its inputs, by which a diagnosis and a result are matched."""
+    files = "\n".join(sorted(f"{item.sha256} {item.path}" for item in inputs))
+    return {"job_sha256": _sha256(job_text), "inputs_sha256": _sha256(files)}
+
+
+def _sha256(text: str) -> str:
+    return hashlib.sha256(text.encode("utf-8")).hexdigest()
+
+
 def of_table(table: Table) -> str:
     """Return the digest of the cells of a table, in internal units, and of the names of unused columns.
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from metrocli import tasks
+from metrocli.effects.covariates import StatedCorrelation
 from metrocli.effects.own.definition import Definition
 from metrocli.errors import Fault
 from metrocli.frozen import dataclass
@@ -14,7 +15,7 @@ from metrocli.nodes import Node
 from metrocli.project.campaign import ForEach
 from metrocli.project.ranges import Ranges
 from metrocli.project.requirements import Requirement, Requirements
-from metrocli.settings import BAD, Choice, Schema, Section, Text, path_beside, setting
+from metrocli.settings import BAD, Choice, ListOf, Schema, Section, Text, path_beside, setting
 from metrocli.settings.certificate import Certificate
 from metrocli.words import suggestion
 
@@ -144,6 +145,9 @@ class Heading:
     job: str = setting(_KindOfJob(), "kind of job")
     title: str = setting(Text(), "title of the result", default="")
     effects: tuple[Node, ...] = setting(_Effects(), "extensions of the model, by name", default=())
+    correlated: tuple[StatedCorrelation, ...] = setting(
+        ListOf(Section(StatedCorrelation)), "errors of the readings that vary smoothly with a covariate", default=()
+    )
     define: tuple[Node, ...] = setting(_Definitions(), "user-defined effects", default=())
     effects_from: Node | None = setting(FileBeside(), "file with user-defined effects under `define:`", default=None)
     ranges: Mapping[str, Node] = setting(Ranges(), "largest values of columns in CSV files, by name", default={})

@@ -26,6 +26,7 @@ from metrocli.project.own_effects import Defining, Package, UserEffects, own_eff
 from metrocli.project.ranges import effect_node, overridden, ranges_of, within
 from metrocli.project.yaml_text import YamlFiles
 from metrocli.settings import BAD, Schema, read_sections, sections_schema, settings_of
+from metrocli.tasks.job import Task
 from metrocli.tasks.shared.figures import of_effects
 
 
@@ -180,7 +181,20 @@ def _with_effects(
         specs = [replace(item, spec=columns.reading(item.spec, further(), own.effects)) for item in job.inputs]
         job = replace(job, inputs=tuple(specs))
     wanted = effects.read((*task.effects, *own.effects), job.named, faults) if job.named else ()
-    return job, wanted, own
+    return job, (*wanted, *_correlated(job, task, faults)), own
+
+
+def _correlated(job: _ReadJob, task: Task[Any, Any], faults: list[Fault]) -> tuple[Wanted, ...]:
+    """Return the correlated errors that a job states, if its kind can have them."""
+    if job.heading is BAD or not job.heading.correlated:
+        return ()
+    node = job.root.at("correlated")
+    if task.covariates is None:
+        faults.append(node.fault(f"{job.kind} jobs take no `correlated`", "write noise: structured"))
+        return ()
+    from metrocli.effects import correlated
+
+    return correlated.wanted(job.heading.correlated, node.items, task.covariates)
 
 
 def _checked(
@@ -188,7 +202,7 @@ def _checked(
 ) -> tuple[tuple[Input, ...], Path]:
     """Return the inputs within the ranges of the job, and its output; raise InputError with all faults."""
     heading, inputs = job.heading, job.inputs
-    if heading is not BAD and job.settings is not BAD and heading.require and len(wanted) == len(job.named):
+    if heading is not BAD and job.settings is not BAD and heading.require and len(wanted) >= len(job.named):
         known = figures_of(job.kind, job.settings, wanted)
         for requirement in heading.require:
             requirement.limit_among(known, faults)

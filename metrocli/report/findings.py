@@ -255,6 +255,7 @@ def _left(data: Mapping[str, Any]) -> Iterator[str]:
         yield f"Structure left: varies with {in_a_row(left['depends_on'])}{where}{much}"
     for process in data.get("processes", ()):
         each = f" of each {process['of_each']} by itself" if process.get("of_each") else ""
+        each = f" of {process['of_each']} {process['of']}" if process.get("of") else each
         size = micro(f"{two_digits(process['std']['value'])} {process['std']['unit']}")
         counts = (
             "is in the uncertainties here" if process.get("in_uncertainties") else "is not in the uncertainties here"

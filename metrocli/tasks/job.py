@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from metrocli.diagnosis.adjusted_job import AdjustedJob
     from metrocli.diagnosis.corrections import Mistake
     from metrocli.effects.acting import Acting
+    from metrocli.effects.covariates import Covariates
     from metrocli.effects.effect import Effect
     from metrocli.effects.model import Model
     from metrocli.effects.wanted import Wanted
@@ -67,6 +68,8 @@ class Task(Generic[S, F]):
     """Effects that its model can leave out, and that a job can add"""
     places: tuple[Acting, ...] = ()
     """Quantities on which user-defined effects can act"""
+    covariates: Covariates | None = None
+    """Quantities with which the errors of its readings could vary"""
     answers: Mapping[str, Callable[[Job[S, F]], Table]] = field(default_factory=dict)
     """Function for each question of the job, by name"""
     result_answers: Mapping[str, Callable[[Result, Sequence[str]], tuple[Estimate, ...]]] = field(default_factory=dict)

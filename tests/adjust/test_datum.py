@@ -104,30 +104,39 @@ def test_residuals_do_not_see_the_frame(
     assert np.abs(g.T @ gap.ravel() / np.linalg.norm(g, axis=0)).max() < 1e-5
 
 
+@pytest.mark.parametrize("bars", [0, 4], ids=["no bar", "bars"])
 @pytest.mark.parametrize("members", [list(range(24)), OTHER], ids=["all", "some"])
-def test_covariance_is_the_dense_one_in_the_frame(free: tuple[Problem, Solution], members: list[int]) -> None:
-    """Any generalised inverse of the full normal matrix, brought into the frame by `I - E (G'E)^-1 G'`; E is the null space found by numpy."""
+def test_covariance_is_the_dense_one_in_the_frame(
+    free: tuple[Problem, Solution], members: list[int], bars: int
+) -> None:
+    """Any generalised inverse of the full normal matrix, brought into the frame by `I - E (G'E)^-1 G'`; E is the null space found by numpy.
+
+    Ends of bars stay in the reduced system, while the other targets are eliminated.
+    """
     problem, _ = free
+    problem, open_ = (problem.with_groups(scale_bars(problem, bars)), 6) if bars else (problem, 7)
     takes_part = np.isin(np.arange(len(CUBE)), members).astype(float)
     solution = solved(problem, takes_part=takes_part)
     plain = dense.at_solution(solution.blocks, problem.groups)
     normal = plain.jacobian.T @ plain.jacobian
     scale = 1 / np.sqrt(np.diag(normal))
     values, vectors = np.linalg.eigh(normal * scale[:, None] * scale)
-    assert values[6] < 1e-9 < 1e-7 < values[7]
-    null = scale[:, None] * vectors[:, :7]
-    ginverse = (vectors[:, 7:] / values[7:]) @ vectors[:, 7:].T * scale[:, None] * scale
+    assert values[open_ - 1] < 1e-9 < 1e-7 < values[open_]
+    null = scale[:, None] * vectors[:, :open_]
+    ginverse = (vectors[:, open_:] / values[open_:]) @ vectors[:, open_:].T * scale[:, None] * scale
     lens, targets = 7, 3 * len(CUBE)
-    g = np.zeros((len(normal), 7))
+    g = np.zeros((len(normal), open_))
     reference = problem.blocks[camera.TARGET].values
     place = {name: i for i, (name, _, _) in reversed(list(enumerate(plain.places)))}[camera.TARGET]
-    g[place : place + targets] = movements(reference) * np.repeat(takes_part, 3)[:, None]
+    g[place : place + targets] = movements(reference)[:, :open_] * np.repeat(takes_part, 3)[:, None]
     transform = np.eye(len(normal)) - null @ np.linalg.solve(g.T @ null, g.T)
     expected = transform @ ginverse @ transform.T
     names = list(problem.blocks)
     assert names[0] == camera.LENS
     assert problem.blocks[camera.LENS].values.size == lens
-    found = np.block([[solution.covariance_or_raise().between(a, b) for b in names] for a in names])
+    known = solution.covariance_or_raise()
+    assert len(known.layout.tied) == 2 * bars
+    found = np.block([[known.between(a, b) for b in names] for a in names])
     std = np.sqrt(np.diag(expected))
     assert np.abs((found - expected) / std[:, None] / std).max() < 1e-6
 

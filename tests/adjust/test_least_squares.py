@@ -69,7 +69,7 @@ def test_the_eliminated_blocks_are_those_meant() -> None:
     eliminated = {make: both(make)[1].covariance_or_raise().layout.eliminated for make in PROBLEMS}
     assert eliminated["views eliminated"] == "view"
     assert eliminated["targets eliminated, in part fixed"] == "target"
-    assert eliminated["scale bars"] == "view"
+    assert eliminated["scale bars"] == "target"
     assert eliminated["joint prior"] == "target"
     assert eliminated["nothing eliminated"] is None
 

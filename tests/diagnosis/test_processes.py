@@ -12,11 +12,12 @@ from benchmarks.hidden.rest import Size, _shown, _together, of_each, of_images
 from metrocli.cli.diagnosis_report.findings import of_diagnosis
 from metrocli.diagnosis.correlated_error import CorrelatedError
 from metrocli.diagnosis.diagnose import diagnose
-from metrocli.diagnosis.evidence.functions import around_circle, between_knots, process_bases
+from metrocli.diagnosis.evidence.functions import process_bases
 from metrocli.diagnosis.findings import Diagnosis
 from metrocli.diagnosis.job_entries import proposed_noise
 from metrocli.diagnosis.linear.linearised import linearised
 from metrocli.diagnosis.verdict import as_data
+from metrocli.effects.covariates import around_circle, between_knots
 from metrocli.project.diagnosed import Extended
 from metrocli.tasks import KINDS
 

@@ -81,11 +81,11 @@ def rows_without_members(solution: Solution, clusters: Mapping[str, Index]) -> C
     """Return the rows at a solution without its eliminated block, by the unknowns of the reduced system.
 
     The members are removed from the rows, `J_r - J_e W`, which leaves the residuals as they are. Priors of members
-    belong to the cluster of their member. Return None if a member is used by several clusters.
+    belong to the cluster of their member. Return None if a member is used by several clusters, or a reading by two.
     """
     known = solution.covariance_or_raise()
     layout, name = known.layout, known.layout.eliminated
-    if name is None:
+    if name is None or len(layout.tied):
         return None
     of_member = _clusters_of_members(solution, clusters, name)
     if of_member is None:

@@ -83,7 +83,7 @@ class Covariance:
     def pairs(self, name: str, index: Index, other: str, other_index: Index) -> Array:
         """Return the covariance of chosen pairs of members of two blocks, (size, size', n).
 
-        n is 1 if both blocks have one member. A member of the eliminated block can only be paired with itself.
+        n is 1 if both blocks have one member.
         """
         solved = {self.layout.eliminated, *self.layout.columns}
         if not {name, other} <= solved:
@@ -91,7 +91,11 @@ class Covariance:
         if other == self.layout.eliminated and name != other:
             return np.swapaxes(self.pairs(other, other_index, name, index), 0, 1)
         if name == other == self.layout.eliminated:
-            return self.factor * _at(self.eliminated.covariance, index)
+            same = index == other_index
+            if same.all():
+                return self.factor * _at(self.eliminated.covariance, index)
+            apart = np.moveaxis(self.apart(name, index, other_index), 0, -1)
+            return np.where(same, self.factor * _at(self.eliminated.covariance, index), apart)
         others, within = self._places(other, other_index)
         if name == self.layout.eliminated:
             rows = -self._cross

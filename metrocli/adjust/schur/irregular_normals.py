@@ -107,8 +107,8 @@ class IrregularNormals:
         return ()
 
     def solved(self, fields: Array) -> Array:
-        """Return `D^-1 H` of fields H (members, s, f), (members, s, f)."""
-        return np.asarray(np.linalg.solve(self.d, fields), dtype=float)
+        """Return `D^-1 H` of fields H (members, s, f), (members, s, f), with zeros at fixed entries."""
+        return np.asarray(np.linalg.solve(self.d, fields), dtype=float) * self.free[:, :, None]
 
     def moments(self, fields: Array) -> tuple[Array, Array]:
         """Return `H' W` and `H' D^-1 H` of fields H (members, s, f): (f, width), (f, f)."""
@@ -168,12 +168,17 @@ class _SortedDerivatives:
         index_e, size_e, several = None, 0, []
         dense: list[Array] = []
         places: list[Index] = []
+        alone = sum(touch.block == layout.eliminated for touch in linear.touches) == 1
         for touch in linear.touches:
-            if touch.block == layout.eliminated:
-                free = blocks[touch.block].free
+            if touch.block == layout.eliminated and len(layout.tied):
+                several.append((touch, layout.columns[touch.block]))
+            if touch.block == layout.eliminated and alone:
+                free = layout.alone(blocks[touch.block])
                 mask = free.T[:, touch.index] if not free.all() else 1.0
                 index_e, size_e = touch.index, touch.jacobian.shape[1]
                 dense.insert(0, touch.jacobian * mask)
+            elif touch.block == layout.eliminated:
+                continue
             elif len(blocks[touch.block].members) == 1:
                 columns = layout.columns[touch.block][0]
                 dense.append(touch.jacobian[:, columns >= 0])

@@ -17,6 +17,7 @@ import numpy as np
 from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.schur.irregular_normals import NormalSums
 from metrocli.adjust.schur.layout import Layout
+from metrocli.adjust.schur.tied_members import TiedMembers
 from metrocli.adjust.schur.tile_rows import TileRows
 from metrocli.adjust.schur.tiled_elimination import EliminatedTile
 from metrocli.adjust.schur.tiles import Tiling
@@ -84,7 +85,7 @@ class Normals:
     """The parts of the normal matrix and of the right side `J' r`, all in whitened readings."""
 
     parts: tuple[EliminatedMembers, ...]
-    """The tiles, then the other readings"""
+    """The tiles, then the other readings, then tied members"""
     shape: tuple[int, int]
     """Shape of the eliminated block, (members, s)"""
     cost: float
@@ -151,9 +152,11 @@ def assemble(tiling: Tiling, blocks: Mapping[str, Block], layout: Layout) -> Nor
         with suppress(np.linalg.LinAlgError):  # raised again on use; computed now while the rows are cached
             _ = part.reduced
         parts.append(part)
-    free = blocks[name].free if name else np.zeros((0, 0), dtype=bool)
-    rest = sums.normals(free[:0] if tiling.tiles else free)
-    return Normals((*parts, rest), shape, float(cost))
+    free = layout.alone(blocks[name]) if name else np.zeros((0, 0), dtype=bool)
+    parts.append(sums.normals(free[:0] if tiling.tiles else free))
+    if name and len(layout.tied):
+        parts.append(TiedMembers(layout.tied, layout.columns[name][layout.tied], layout.width))
+    return Normals(tuple(parts), shape, float(cost))
 
 
 def cost_of(tiling: Tiling, blocks: Mapping[str, Block]) -> float:

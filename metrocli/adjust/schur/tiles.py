@@ -67,7 +67,7 @@ def tiling_of(groups: Sequence[Group], blocks: Mapping[str, Block], layout: Layo
     eliminated = layout.eliminated
     everything = range(len(groups))
     touching = [i for i in everything if eliminated in groups[i].chain.blocks]
-    tiles = _tiled(groups, blocks, eliminated, touching) if eliminated else []
+    tiles = _tiled(groups, blocks, eliminated, touching) if eliminated and not len(layout.tied) else []
     left = [i for i in everything if i not in touching] if tiles else everything
     return Tiling(tuple(tiles), tuple(chunk for i in left for chunk in chunks_of(groups[i], i, layout)))
 
@@ -97,7 +97,7 @@ def chunks_of(group: Group, place: int, layout: Layout) -> list[Piece]:
     number = round(count / size)
     if number < 2:
         return [Piece(group, place, slice(0, count))]
-    own = group.observations.index.get(layout.eliminated or "", np.arange(count)).reshape(-1)
+    own = np.atleast_2d(group.observations.index.get(layout.eliminated or "", np.arange(count)))[0]
     in_order = bool((np.diff(own) >= 0).all())
     order = np.arange(count) if in_order else np.argsort(own, kind="stable")
     # the reading at which a cut would fall moves back to the first one of its member

@@ -17,7 +17,7 @@ from metrocli.diagnosis.detectability import Detectability
 from metrocli.diagnosis.evidence.gain import Gain
 from metrocli.diagnosis.extended_fit import EffectSize
 from metrocli.diagnosis.findings import Diagnosis, Finding, RandomEffect
-from metrocli.diagnosis.job_entries import proposed_noise
+from metrocli.diagnosis.job_entries import proposed_correlated, proposed_noise
 from metrocli.diagnosis.laws.search import Law
 from metrocli.diagnosis.wrong_readings import Outlier
 from metrocli.project.diagnosed import Extended
@@ -106,11 +106,18 @@ def _extension(diagnosis: Diagnosis, law: Law | None) -> str:
     """Return what an extended job with a law, or without, has that the job has not."""
     added = ["the named effects"] if diagnosis.findings or diagnosis.scatters else []
     added += ["the law"] if law is not None else []
+    shared = _shared(diagnosis)
     if not added:
         what = "structure left" if diagnosis.left is not None else "smooth error"
-        return f"the job with `noise: structured`: its uncertainties include the {what}"
-    shared = " and with `noise: structured`" if proposed_noise(diagnosis) else ""
+        return f"the job with {shared}: its uncertainties include the {what}"
+    shared = f" and with {shared}" if shared else ""
     return f"the job extended by {' and '.join(added)}{shared}, and diagnose it again"
+
+
+def _shared(diagnosis: Diagnosis) -> str:
+    """Return what the extended job has for errors that readings share."""
+    correlated = ["`correlated:` errors"] if proposed_correlated(diagnosis) else []
+    return " and ".join([*correlated, *(["`noise: structured`"] if proposed_noise(diagnosis) else [])])
 
 
 def of_design(adjusted: AdjustedJob, design: Detectability) -> str:
@@ -178,7 +185,7 @@ def _structure(diagnosis: Diagnosis) -> Iterator[str]:
 def _included(diagnosis: Diagnosis) -> str:
     """Return whether the uncertainties of the result include structure, or a smooth error, and what would."""
     include = "include it" if diagnosis.job.noise_model == STRUCTURED else "do not include it"
-    remedy = "; `noise: structured` includes it, as the extended job has it" if proposed_noise(diagnosis) else ""
+    remedy = f"; those of the extended job, with {shared}, include it" if (shared := _shared(diagnosis)) else ""
     return f"The standard uncertainties of the result {include}{remedy}."
 
 

@@ -70,6 +70,7 @@ def summary(diagnosis: Diagnosis) -> Iterator[str]:
 def smooth(process: CorrelatedError) -> str:
     """Return a smooth random error in words."""
     each = f" of each {process.by} by itself" if process.by else ""
+    each = f" of {process.by} {process.place}" if process.place else each
     return f"error that varies smoothly with {process.covariate}{each}"
 
 

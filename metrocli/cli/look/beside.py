@@ -28,7 +28,7 @@ def diagnosis_of(result: Path, given: Path | None, record: Record) -> PrintedDia
     if given is None and not path.is_file():
         return None
     # not before: this loads the search for effects
-    from metrocli.project.diagnosed import identity
+    from metrocli.project.fingerprint import of_diagnosed
     from metrocli.report.html import PrintedDiagnosis
 
     try:
@@ -39,7 +39,7 @@ def diagnosis_of(result: Path, given: Path | None, record: Record) -> PrintedDia
         data = None
     if not isinstance(data, dict) or "verdict" not in data:
         raise InputError([Fault("this is not the output of metrocli diagnose --json", str(path), hint=_DIAGNOSE)])
-    return PrintedDiagnosis(data, str(path), data.get("of") == identity(record.job_text, record.inputs))
+    return PrintedDiagnosis(data, str(path), data.get("of") == of_diagnosed(record.job_text, record.inputs))
 
 
 def beside_of(result: Path, diagnosis: PrintedDiagnosis | None, before: Path | None = None) -> Beside:

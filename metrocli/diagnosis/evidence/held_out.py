@@ -57,12 +57,17 @@ class Model:
 
 
 def folds_of(m: Measurement) -> Index:
-    """Return the number of the fold of each row, -1 for priors, (rows,)."""
+    """Return the number of the fold of each row, (rows,): -1 for priors, but those of a member are held out with it."""
     rows = np.full(m.system.rows, -1, dtype=np.intp)
     for group in m.job.model.readings:
         fold = m.system.spread(group, m.job.folds[group.name].astype(float) + 1)
         rows = np.where(fold > 0, fold.astype(np.intp) - 1, rows)
-    return rows
+    member = m.system.basis.member
+    own = np.full(m.system.basis.members + 1, -1, dtype=np.intp)  # the last is that of rows without a member
+    read = (rows >= 0) & (member >= 0)
+    own[member[read]] = rows[read]
+    own[member[read][own[member[read]] != rows[read]]] = -1
+    return np.where(rows < 0, own[member], rows)
 
 
 @dataclass(frozen=True)

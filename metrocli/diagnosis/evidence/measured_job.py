@@ -14,7 +14,7 @@ import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index
-from metrocli.diagnosis.adjusted_job import AdjustedJob, Covariate
+from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.evidence.functions import process_bases
 from metrocli.diagnosis.evidence.measurement import Measurement
 from metrocli.diagnosis.evidence.parts import Knots
@@ -25,6 +25,7 @@ from metrocli.diagnosis.linear.linearised import linearised
 from metrocli.diagnosis.linear.projection import Linearised
 from metrocli.diagnosis.linear.signatures import signature
 from metrocli.diagnosis.noise import variance_groups
+from metrocli.effects.covariates import Covariate
 from metrocli.effects.effect import Effect, Parameter
 
 _PLACES = 6

@@ -28,18 +28,16 @@ from metrocli.diagnosis.evidence.parts import (
     Knots,
     Random,
     fixed,
-    kernel,
 )
 from metrocli.diagnosis.evidence.prices import OF_ALL, OF_UNITS, PRIOR, Prices, price_of_variance
 from metrocli.diagnosis.linear.basis import Basis
 from metrocli.diagnosis.linear.candidates import Candidate, CandidateGroup, NotTested
 from metrocli.diagnosis.linear.projection import Linearised
+from metrocli.effects.covariates import kernel, least_length
 from metrocli.frozen import dataclass
 
 LENGTHS = (1 / 64, 1 / 32, 1 / 16, 1 / 8, 1 / 4)
 """Lengths of correlation that are tried, as shares of the largest range of a unit: what is slower is a drift"""
-_RESOLVED = 0.6
-"""Least length of correlation, in distances of the knots"""
 _SMOOTH = 1e-4
 """Share of the squares of its largest direction below which a direction of a smooth effect is left out"""
 _MOST_DENSE = 10_000_000
@@ -109,8 +107,7 @@ class Measurement:
 
     def lengths(self, number: int) -> list[float]:
         """Return the lengths of correlation that the knots of a covariate resolve."""
-        distances = self.knots[number].functions.distances
-        least = _RESOLVED * float(np.min(distances[distances > 0]))
+        least = least_length(self.knots[number].functions.distances)
         return [one for one in LENGTHS if one >= least]
 
     def kernel(self, number: int, length: float) -> Array:

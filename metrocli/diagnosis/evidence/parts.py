@@ -19,8 +19,6 @@ EFFECT, READING, UNKNOWN, TERM, HELD_OUT = "effect", "reading", "unknown cause",
 SCATTER, CORRELATED = "scatter", "correlated"
 _SEEN = 1e-4
 """Smallest singular value of unit columns, relative to the largest, that counts as a column"""
-_RICH = 0.02
-"""Smallest eigenvalue of a covariance of knots, relative to the largest, that counts"""
 LARGEST = 2 * float(np.log(10.0))
 """ln of the largest variance of a correlated error, in that of the noise: ten times the declared one"""
 
@@ -81,14 +79,6 @@ def fixed(whole: Array, seen: Array, key: tuple[int, int], price: float, sort: s
     kept = values > _SEEN**2 * max(float(values[-1]), 1e-300)
     turn = vectors[:, kept] / np.sqrt(values[kept]) / size[:, None]
     return Fixed(*key, whole @ turn, turn, price, sort)
-
-
-def kernel(distances: Array, length: float) -> Array:
-    """Return V, (knots, k), with `V V'` the Matern covariance (3/2) of unit variance of knots some distances apart."""
-    x = np.sqrt(3) * distances / length
-    values, vectors = np.linalg.eigh((1 + x) * np.exp(-x))
-    kept = values > _RICH * values[-1]
-    return np.asarray(vectors[:, kept] * np.sqrt(values[kept]))
 
 
 @dataclass(frozen=True)

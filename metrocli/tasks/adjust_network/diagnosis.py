@@ -13,7 +13,8 @@ from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Observations
 from metrocli.adjust.solution import Solution
 from metrocli.arrays import Array, Index, Mask
-from metrocli.diagnosis.adjusted_job import AdjustedJob, Covariate, Delivered
+from metrocli.diagnosis.adjusted_job import AdjustedJob, Delivered
+from metrocli.effects.covariates import Covariate
 from metrocli.effects.effect import ELAPSED, WARMING
 from metrocli.effects.estimates import free_blocks
 from metrocli.effects.extension import with_conditions
@@ -45,7 +46,7 @@ def adjusted_job(solved: AdjustedNetwork) -> AdjustedJob:
         KIND.name,
         model,
         EFFECTS,
-        tuple(_covariates(model)),
+        tuple(covariates(model)),
         ("station",),
         {group.name: _folds(group) for group in model.readings},
         Delivered(*delivered, (0, 1, 2), "um", "length"),
@@ -65,7 +66,7 @@ def _timed(model: Model) -> bool:
     return any("t" in group.observations.conditions for group in model.readings)
 
 
-def _covariates(model: Model) -> Iterator[Covariate]:
+def covariates(model: Model) -> Iterator[Covariate]:
     """Yield the quantities with which an unknown effect on sightings could vary."""
     groups = [group for group in model.readings if is_sighting(group)]
     timed = [group for group in groups if ELAPSED in group.observations.conditions]

@@ -179,6 +179,9 @@ def _refuse_exact(
 def _refuse_sightings(
     table: Table, values: Array, instruments: Sequence[NetworkInstrument], stations: Stations, station: Index
 ) -> None:
+    if len(table) and np.isnan(values).all():
+        hint = "the columns are az or hz, el or zd, and d, with their units: az_rad, zd_gon, d_mm"
+        raise InputError([table.fault("no reading has a direction or a distance", hint)])
     kinds = np.array([instruments[i].type == INTERFEROMETER for i in stations.instrument])
     _, elevation, distance = values
     refuse(

@@ -9,7 +9,7 @@ from metrocli.errors import all_faults
 from metrocli.plan import Plan
 from metrocli.result import Result
 from metrocli.simulation import Simulation, SimulationOptions
-from metrocli.tasks.adjust_network.diagnosis import adjusted_job, noise_of
+from metrocli.tasks.adjust_network.diagnosis import adjusted_job, covariates, noise_of
 from metrocli.tasks.adjust_network.effects import EFFECTS, PLACES
 from metrocli.tasks.adjust_network.other_settings import other_settings
 from metrocli.tasks.adjust_network.plan import planned
@@ -65,4 +65,4 @@ def simulate(job: Job[Settings, Files], options: SimulationOptions) -> Simulatio
     return simulated(job.settings, job.files, truth, job.effects, np.random.default_rng(options.seed))
 
 
-TASK = Task(Files, run, check, plan, simulate, diagnosed, EFFECTS, PLACES, other_settings=other_settings)
+TASK = Task(Files, run, check, plan, simulate, diagnosed, EFFECTS, PLACES, covariates, other_settings=other_settings)

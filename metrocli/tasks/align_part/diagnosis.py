@@ -9,16 +9,26 @@ import numpy as np
 from metrocli import units
 from metrocli.adjust.model.quantities import Quantity
 from metrocli.diagnosis.adjusted_job import AdjustedJob, Delivered
+from metrocli.effects.covariates import Covariate
+from metrocli.effects.model import Model
 from metrocli.geometry import poses
 from metrocli.instruments import spindle_camera as spindle
-from metrocli.instruments.camera import LENS, TARGET
+from metrocli.instruments.camera import LENS
 from metrocli.table import Table
 from metrocli.tasks.align_part import KIND
 from metrocli.tasks.align_part.effects import EFFECTS
 from metrocli.tasks.align_part.problem import AlignmentProblem
 from metrocli.tasks.align_part.settings import Files
 from metrocli.tasks.shared.images.adjustment import AdjustedImages
-from metrocli.tasks.shared.images.covariates import at_solution, covariate, covariates, folds, named, refit
+from metrocli.tasks.shared.images.covariates import (
+    at_solution,
+    covariate,
+    covariates,
+    folds,
+    named,
+    place_of_target,
+    refit,
+)
 from metrocli.tasks.shared.images.eccentricity import diameters
 from metrocli.tasks.shared.uncontrolled import SCALE, SCALE_WORDS, Hidden, table_of
 
@@ -29,23 +39,12 @@ _ALONE = "it is sought in the images of one camera: leave out those of the other
 def adjusted_job(problem: AlignmentProblem, adjusted: AdjustedImages) -> AdjustedJob:
     """Return an adjusted alignment as input of `diagnose`; cross-validation holds out whole images."""
     model = at_solution(problem.model, adjusted)
-    group, blocks = model.readings[0], model.blocks
-    index = group.observations.index
-    points = blocks[TARGET].values[index[TARGET]]
-    held = blocks[spindle.SPINDLE].values
-    turn = poses.rotation_of(held)[index["view"]]
-    about = np.arctan2(turn[:, 1, 0], turn[:, 0, 0])
-    known = [
-        *covariates(model, group.chain.until(Quantity.POINT_IN_CAMERA).predict(blocks, group.observations)),
-        covariate("place of the target", points.T, 2),
-        covariate("place of the spindle", held[index["view"], :3].T, 2),
-        covariate("turn of the spindle", np.stack([np.cos(about), np.sin(about)]), 2),
-    ]
+    index = model.readings[0].observations.index
     return AdjustedJob(
         KIND.name,
         model,
         EFFECTS,
-        named(known),
+        named(all_covariates(model)),
         ("image", "target"),
         folds(index["view"]),
         Delivered("place of the part", spindle.PART, (0, 1, 2), "um", "length"),
@@ -57,6 +56,20 @@ def adjusted_job(problem: AlignmentProblem, adjusted: AdjustedImages) -> Adjuste
         made_together=("image",),
         not_sought=dict.fromkeys(_OF_ONE, _ALONE) if len(np.unique(index.get(LENS, 0))) > 1 else {},
     )
+
+
+def all_covariates(model: Model) -> list[Covariate]:
+    """Return the covariates of the image points of an alignment."""
+    index = model.readings[0].observations.index
+    held = model.blocks[spindle.SPINDLE].values
+    turn = poses.rotation_of(held)[index["view"]]
+    about = np.arctan2(turn[:, 1, 0], turn[:, 0, 0])
+    return [
+        *covariates(model),
+        place_of_target(model, 2),
+        covariate("place of the spindle", held[index["view"], :3].T, 2),
+        covariate("turn of the spindle", np.stack([np.cos(about), np.sin(about)]), 2),
+    ]
 
 
 _SEAT = units.parse_quantity("5 um", "length")

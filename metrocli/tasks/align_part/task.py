@@ -16,7 +16,7 @@ from metrocli.instruments.spindle_camera import SPINDLE, part_in_camera
 from metrocli.result import Result
 from metrocli.simulation import Simulation, SimulationOptions
 from metrocli.tasks.align_part.camera import CameraModel, camera_of
-from metrocli.tasks.align_part.diagnosis import adjusted_job
+from metrocli.tasks.align_part.diagnosis import adjusted_job, all_covariates
 from metrocli.tasks.align_part.effects import EFFECTS, EXPANSION, PLACES
 from metrocli.tasks.align_part.fitted_targets import target_list
 from metrocli.tasks.align_part.fixturing import must_level
@@ -178,4 +178,6 @@ def simulate(job: Job[Settings, Files], options: SimulationOptions) -> Simulatio
     return Simulation({"observations.csv": table}, true | values, drawn)
 
 
-TASK = Task(Files, run, check, simulate=simulate, diagnosed=diagnosed, effects=EFFECTS, places=PLACES)
+TASK = Task(
+    Files, run, check, simulate=simulate, diagnosed=diagnosed, effects=EFFECTS, places=PLACES, covariates=all_covariates
+)

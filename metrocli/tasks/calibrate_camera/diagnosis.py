@@ -10,9 +10,9 @@ import numpy as np
 from metrocli import units
 from metrocli.arrays import Array
 from metrocli.diagnosis.adjusted_job import AdjustedJob, Delivered
+from metrocli.effects.covariates import Covariate
 from metrocli.effects.effect import Effect
 from metrocli.effects.model import Model
-from metrocli.geometry import poses
 from metrocli.instruments import camera
 from metrocli.instruments.camera import TARGET
 from metrocli.table import Table
@@ -23,7 +23,7 @@ from metrocli.tasks.calibrate_camera.problem import CameraProblem
 from metrocli.tasks.calibrate_camera.settings import CameraSettings
 from metrocli.tasks.calibrate_camera.shape.effect import LENS_SHAPE, lens_shape
 from metrocli.tasks.shared.images.adjustment import AdjustedImages
-from metrocli.tasks.shared.images.covariates import PLACE, at_solution, covariate, covariates, folds, named, refit
+from metrocli.tasks.shared.images.covariates import PLACE, at_solution, covariates, folds, named, place_of_target, refit
 from metrocli.tasks.shared.images.eccentricity import diameters
 from metrocli.tasks.shared.uncontrolled import SCALE, SCALE_WORDS, Hidden, table_of
 
@@ -35,18 +35,12 @@ def adjusted_job(problem: CameraProblem, adjusted: AdjustedImages) -> AdjustedJo
     """
     model = at_solution(problem.model, adjusted)
     index = model.readings[0].observations.index
-    points = model.blocks[camera.TARGET].values[index[camera.TARGET]]
-    # what all images share over the image is the shape of the lens
-    known = (
-        replace(one, of_units=one.name == PLACE) for one in covariates(model, _in_camera(problem.rig, model, points))
-    )
-    every = [*known, covariate("place of the target", points.T, 3)]
     cmm = problem.rig == "cmm"
     return AdjustedJob(
         KIND.name,
         model,
         tuple(lens_shape(problem.with_model(model)) if effect is LENS_SHAPE else effect for effect in EFFECTS),
-        named(every),
+        named(all_covariates(model)),
         () if cmm else ("image",),
         folds(index[camera.TARGET if cmm else "view"]),
         _delivered(problem.rig, model),
@@ -59,12 +53,11 @@ def adjusted_job(problem: CameraProblem, adjusted: AdjustedImages) -> AdjustedJo
     )
 
 
-def _in_camera(rig: str, model: Model, points: Array) -> Array:
-    """Return the coordinates of the target in the camera's frame at each reading, (3, n) mm."""
-    views = model.blocks[camera.view_name(rig)].values
-    at = views if rig == "cmm" else views[model.readings[0].observations.index["view"]]
-    seen: Array = poses.apply(at if rig == "board" else poses.inverse(at), points)
-    return np.ascontiguousarray(seen.T)
+def all_covariates(model: Model) -> list[Covariate]:
+    """Return the covariates of the image points of a calibration."""
+    # what all images share over the image is the shape of the lens
+    known = (replace(one, of_units=one.name == PLACE) for one in covariates(model))
+    return [*known, place_of_target(model, 3)]
 
 
 def _moved(model: Model) -> Callable[[Effect, Mapping[str, str]], Array | None]:

@@ -21,7 +21,7 @@ from metrocli.tasks.calibrate_camera import other_lenses
 from metrocli.tasks.calibrate_camera.advice import explained, ran_out, strange_images
 from metrocli.tasks.calibrate_camera.build import build, robustly_started
 from metrocli.tasks.calibrate_camera.compare import compare_models
-from metrocli.tasks.calibrate_camera.diagnosis import adjusted_job
+from metrocli.tasks.calibrate_camera.diagnosis import adjusted_job, all_covariates
 from metrocli.tasks.calibrate_camera.effects import EFFECTS, PLACES
 from metrocli.tasks.calibrate_camera.length_errors import must_not_be_used
 from metrocli.tasks.calibrate_camera.multi_camera import task as multi_camera
@@ -193,6 +193,7 @@ TASK = Task(
     diagnosed=diagnosed,
     effects=EFFECTS,
     places=PLACES,
+    covariates=all_covariates,
     answers={"compare": compare},
     other_settings=other_settings,
 )

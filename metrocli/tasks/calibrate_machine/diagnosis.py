@@ -14,13 +14,15 @@ from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Observations
 from metrocli.adjust.solution import Solution
 from metrocli.arrays import Array, Index, Mask
-from metrocli.diagnosis.adjusted_job import AdjustedJob, Covariate, Delivered
+from metrocli.diagnosis.adjusted_job import AdjustedJob, Delivered
 from metrocli.effects.acting import NOMINAL
+from metrocli.effects.covariates import Covariate
 from metrocli.effects.effect import ELAPSED, WARMING, Effect
 from metrocli.effects.estimates import free_blocks
 from metrocli.effects.extension import with_conditions
 from metrocli.effects.model import Model
 from metrocli.geometry import poses
+from metrocli.instruments.axes.error_motion import ReachedPoint
 from metrocli.instruments.axes.kinematics import LINKS
 from metrocli.instruments.axes.rotary import RotaryAxis
 from metrocli.instruments.machine import TOOL, Machine
@@ -55,7 +57,7 @@ def adjusted_job(solved: AdjustedMachine) -> AdjustedJob:
         KIND.name,
         model,
         _effects_on(model),
-        tuple(_covariates(model, group, problem.machine)),
+        tuple(covariates(model)),
         ("tracer",) if TRACER in model.blocks else (),
         {group.name: _parts(group)},
         _delivered(problem.machine, model),
@@ -116,8 +118,9 @@ def _variations(model: Model, readings: Observations) -> Iterator[tuple[str, Obs
             )
 
 
-def _covariates(model: Model, group: Group, machine: Machine) -> Iterator[Covariate]:
+def covariates(model: Model) -> Iterator[Covariate]:
     """Yield the variables on which an unknown effect may depend: time, place, and distance and azimuth of the beam."""
+    group = model.readings[0]
     conditions, name = group.observations.conditions, group.name
     if ELAPSED in conditions:
         yield Covariate("t_s", {name: conditions[ELAPSED]}, 6, periodic=True)
@@ -126,7 +129,9 @@ def _covariates(model: Model, group: Group, machine: Machine) -> Iterator[Covari
         yield Covariate("order of the readings", {name: order}, 6, periodic=True)
     position = np.stack([conditions[axis] for axis in NOMINAL])
     yield Covariate("place in the machine", {name: position}, 3)
-    for axis in (moved for moved in machine.axes if isinstance(moved, RotaryAxis)):
+    joined = (link for link in group.chain.links if isinstance(link, LINKS) and not isinstance(link, ReachedPoint))
+    axes = {axis.letter: axis for link in joined for axis in link.machine.axes}
+    for axis in (moved for moved in axes.values() if isinstance(moved, RotaryAxis)):
         yield Covariate(f"{axis.letter.lower()}_deg", {name: conditions[axis.coordinate]}, 6, angle=axis.periodic)
     if WARMING in conditions:
         yield Covariate("temp_degC", {name: conditions[WARMING]}, 6)

@@ -13,7 +13,7 @@ from metrocli.adjust.model.chain import Chain
 from metrocli.adjust.model.groups import Group
 from metrocli.arrays import Array, Index, Mask
 from metrocli.effects.acting import NOMINAL
-from metrocli.effects.extension import extended
+from metrocli.effects.correlated import with_all
 from metrocli.effects.model import Model, Place
 from metrocli.effects.modelled import Modelled
 from metrocli.effects.wanted import Wanted
@@ -108,7 +108,7 @@ class MachineProblem(Modelled):
         if not wanted:
             return self
         bare = {name: block for name, block in self.blocks.items() if name in BLOCKS}
-        model = extended(self.model.with_blocks(bare), wanted)
+        model = with_all(self.model.with_blocks(bare), wanted)
         return self.with_model(
             model.with_blocks({name: self.blocks.get(name, model.blocks[name]) for name in model.blocks})
         )

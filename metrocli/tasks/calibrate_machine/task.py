@@ -13,7 +13,7 @@ from metrocli.errors import InputError
 from metrocli.plan import Plan
 from metrocli.result import Result
 from metrocli.simulation import Simulation, SimulationOptions
-from metrocli.tasks.calibrate_machine.diagnosis import adjusted_job, noise_of
+from metrocli.tasks.calibrate_machine.diagnosis import adjusted_job, covariates, noise_of
 from metrocli.tasks.calibrate_machine.effects import EFFECTS, PLACES
 from metrocli.tasks.calibrate_machine.files import Files
 from metrocli.tasks.calibrate_machine.methods.on_the_fly import measurement, on_the_fly
@@ -117,4 +117,5 @@ TASK = Task(
     other_settings=other_settings,
     effects=EFFECTS,
     places=PLACES,
+    covariates=covariates,
 )

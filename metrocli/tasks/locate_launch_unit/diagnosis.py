@@ -13,7 +13,8 @@ from metrocli.adjust.clusters.robust import Clusters
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.solution import Solution
 from metrocli.arrays import Array, Index, Mask
-from metrocli.diagnosis.adjusted_job import AdjustedJob, Covariate, Delivered, PerReading
+from metrocli.diagnosis.adjusted_job import AdjustedJob, Delivered
+from metrocli.effects.covariates import Covariate, PerReading
 from metrocli.effects.effect import ELAPSED, WARMING
 from metrocli.effects.estimates import free_blocks
 from metrocli.effects.extension import with_conditions
@@ -53,7 +54,7 @@ def adjusted_job(located: Located) -> AdjustedJob:
         KIND.name,
         model,
         EFFECTS,
-        tuple(_covariates(model)),
+        tuple(covariates(model)),
         (),
         {group.name: parts[_pose(group)] for group in model.readings},
         Delivered("place of the launch unit", lu.UNIT, (0, 1, 2), "um", "length"),
@@ -64,7 +65,7 @@ def adjusted_job(located: Located) -> AdjustedJob:
     )
 
 
-def _covariates(model: Model) -> Iterator[Covariate]:
+def covariates(model: Model) -> Iterator[Covariate]:
     """Yield the quantities with which an unknown effect could vary: time, temperature, encoder angles, and the beam."""
     groups = model.readings
     degree = max(1, min(_DEGREE, min(group.observations.count for group in groups) // _FEWEST_FOR))

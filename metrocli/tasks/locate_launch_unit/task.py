@@ -14,7 +14,7 @@ from metrocli.simulation import Simulation, SimulationOptions
 from metrocli.table import Table
 from metrocli.tasks.job import Job, Task
 from metrocli.tasks.locate_launch_unit import KIND
-from metrocli.tasks.locate_launch_unit.diagnosis import adjusted_job, noise_of
+from metrocli.tasks.locate_launch_unit.diagnosis import adjusted_job, covariates, noise_of
 from metrocli.tasks.locate_launch_unit.effects import EFFECTS, PLACES
 from metrocli.tasks.locate_launch_unit.plan import figures, planned_measurement
 from metrocli.tasks.locate_launch_unit.readings import read
@@ -119,5 +119,6 @@ TASK = Task(
     diagnosed=diagnosed,
     effects=EFFECTS,
     places=PLACES,
+    covariates=covariates,
     answers={"compare": compare},
 )

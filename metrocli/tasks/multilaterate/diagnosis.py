@@ -14,8 +14,9 @@ from metrocli.adjust.model.groups import Group, ReadBlock
 from metrocli.adjust.model.observations import Observations
 from metrocli.adjust.solution import Solution
 from metrocli.arrays import Array, Index, Mask
-from metrocli.diagnosis.adjusted_job import AdjustedJob, Covariate, Delivered
+from metrocli.diagnosis.adjusted_job import AdjustedJob, Delivered
 from metrocli.effects.acting import NOMINAL
+from metrocli.effects.covariates import Covariate
 from metrocli.effects.effect import ELAPSED, WARMING
 from metrocli.effects.estimates import free_blocks
 from metrocli.effects.extension import with_conditions

@@ -13,7 +13,7 @@ from metrocli.result import Result
 from metrocli.simulation import Simulation, SimulationOptions
 from metrocli.tasks.job import Job, Task
 from metrocli.tasks.multilaterate.correction import list_offset, probing_of, refuse_lost
-from metrocli.tasks.multilaterate.diagnosis import adjusted_job, noise_of
+from metrocli.tasks.multilaterate.diagnosis import adjusted_job, covariates, noise_of
 from metrocli.tasks.multilaterate.distance import distance
 from metrocli.tasks.multilaterate.effects import EFFECTS, PLACES
 from metrocli.tasks.multilaterate.features.wanted import wanted_features
@@ -112,5 +112,6 @@ TASK = Task(
     diagnosed,
     EFFECTS,
     PLACES,
+    covariates=covariates,
     result_answers={"distance": lambda result, points: (distance(result, points[0], points[1]),)},
 )

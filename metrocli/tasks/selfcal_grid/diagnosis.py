@@ -14,7 +14,8 @@ from metrocli.adjust.coupled_fields import CorrelatedDesign, FieldSolution, adju
 from metrocli.adjust.model.chain import Chain
 from metrocli.adjust.solution import Solution
 from metrocli.arrays import Array, Index, Mask
-from metrocli.diagnosis.adjusted_job import AdjustedJob, Covariate, Delivered
+from metrocli.diagnosis.adjusted_job import AdjustedJob, Delivered
+from metrocli.effects.covariates import Covariate
 from metrocli.effects.effect import ELAPSED, WARMING
 from metrocli.effects.extension import with_conditions
 from metrocli.effects.model import Model

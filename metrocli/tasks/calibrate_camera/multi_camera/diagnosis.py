@@ -10,7 +10,7 @@ from metrocli.tasks.calibrate_camera import KIND
 from metrocli.tasks.calibrate_camera.effects import EFFECTS
 from metrocli.tasks.calibrate_camera.multi_camera.system import CameraSystem
 from metrocli.tasks.shared.images.adjustment import AdjustedImages
-from metrocli.tasks.shared.images.covariates import at_solution, covariate, folds, named, refit
+from metrocli.tasks.shared.images.covariates import at_solution, covariate, folds, named, place_of_target, refit
 
 _OF_TARGETS = ("stretched-targets", "target-plane-bend", "moved-target", "scale-of-targets")
 _OF_ONE = "it is sought in the images of one camera: diagnose a job of that camera alone"
@@ -20,13 +20,12 @@ def adjusted_job(system: CameraSystem, adjusted: AdjustedImages) -> AdjustedJob:
     """Return adjusted cameras as input of `diagnose`; cross-validation holds out whole exposures."""
     model = at_solution(system.model, adjusted)
     index = model.readings[0].observations.index
-    points = model.blocks[camera.TARGET].values[index[camera.TARGET]]
     order = covariate("order of the images", index["view"].astype(float), 5)
     return AdjustedJob(
         KIND.name,
         model,
         EFFECTS,
-        named([order, covariate("place of the target", points.T, 3)]),
+        named([order, place_of_target(model, 3)]),
         ("image",),
         folds(index["view"]),
         Delivered("places of the cameras", camera.MOUNT, (0, 1, 2), "um", "length"),

@@ -5,7 +5,7 @@ A covariate is a quantity with which an unknown effect could vary: time, place i
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -13,9 +13,10 @@ import numpy as np
 from metrocli.adjust.adjustment import StoppingRule, adjust
 from metrocli.adjust.datum import Datum
 from metrocli.adjust.model.blocks import Block
+from metrocli.adjust.model.quantities import Quantity
 from metrocli.adjust.solution import Solution
 from metrocli.arrays import Array, Index, Mask
-from metrocli.diagnosis.adjusted_job import Covariate
+from metrocli.effects.covariates import Covariate
 from metrocli.effects.effect import ELAPSED, WARMING
 from metrocli.effects.extension import with_conditions
 from metrocli.effects.model import Model
@@ -33,10 +34,11 @@ def at_solution(model: Model, adjusted: AdjustedImages) -> Model:
     return with_conditions(replace(model, blocks=adjusted.solution.blocks, groups=groups))
 
 
-def covariates(model: Model, in_camera: Array) -> list[Covariate]:
-    """Return the covariates of all image jobs; `in_camera` (3, n) mm are the targets in the camera's frame."""
+def covariates(model: Model) -> list[Covariate]:
+    """Return the covariates of all image jobs."""
     group = model.readings[0]
     observations = group.observations
+    in_camera = group.chain.until(Quantity.POINT_IN_CAMERA).predict(model.blocks, observations)
     lens, of = model.blocks[LENS], observations.index.get(LENS, np.zeros(1, dtype=np.intp))
     conditions, view = observations.conditions, observations.index["view"].astype(float)
     # Predicted image points: the readings would put their own noise into the covariates.
@@ -52,6 +54,12 @@ def covariates(model: Model, in_camera: Array) -> list[Covariate]:
     orders.append(replace(covariate("image azimuth", np.arctan2(off[1], off[0]), 8), angle=True))
     orders.append(covariate("distance from the camera", in_camera[2], 4))
     return orders
+
+
+def place_of_target(model: Model, degree: int) -> Covariate:
+    """Return the place of the target of each reading in the target list."""
+    places = model.blocks[TARGET].values[model.readings[0].observations.index[TARGET]]
+    return covariate("place of the target", places.T, degree)
 
 
 def covariate(name: str, values: Array, degree: int) -> Covariate:
@@ -73,27 +81,27 @@ def folds(unit: Index) -> Mapping[str, Index]:
 def refit(datum: Datum | None) -> Callable[[Model, Mapping[str, Mask]], Solution]:
     """Return a function that adjusts a model to the readings kept.
 
-    Poses of images without a reading are held fixed, unless something else is known of them.
+    Poses of images without a reading or a prior are held fixed.
     """
 
     def adjusted(model: Model, keep: Mapping[str, Mask]) -> Solution:
         groups = [group.selected(keep[group.name]) if group.name in keep else group for group in model.groups]
-        known = {name for group in groups[1:] for name in group.chain.blocks}
-        index = groups[0].observations.index
-        blocks = [
-            block if block.name in known else _without_the_unread(block, index) for block in model.blocks.values()
-        ]
+        indices = [group.observations.index for group in groups]
+        blocks = [_without_the_unread(block, indices) for block in model.blocks.values()]
         return adjust(blocks, groups, datum, StoppingRule())
 
     return adjusted
 
 
-def _without_the_unread(block: Block, index: Mapping[str, Index]) -> Block:
-    """Return the block with members that have no reading held fixed; targets stay free, as they may have priors."""
-    if block.name not in index or block.name == TARGET:
+def _without_the_unread(block: Block, indices: Sequence[Mapping[str, Index]]) -> Block:
+    """Return the block with members that neither images (first of the indices) nor priors read held fixed.
+
+    Targets stay free, whatever reads them.
+    """
+    if block.name not in indices[0] or block.name == TARGET:
         return block
-    read = np.bincount(index[block.name], minlength=len(block.members)) > 0
-    return replace(block, free=block.free & read[:, None])
+    read = np.concatenate([np.ravel(index[block.name]) for index in indices if block.name in index])
+    return replace(block, free=block.free & np.isin(np.arange(len(block.members)), read)[:, None])
 
 
 def named(covariates: Iterable[Covariate]) -> tuple[Covariate, ...]:

@@ -1,0 +1,173 @@
+"""Correlated errors that a job states: `correlated: [{covariate: t_s, by: tracer, length: 0.25, std: 0.8 um}]`.
+
+They are random effects: independent coefficients of smooth functions of a covariate, each with the standard deviation
+`std` about 0, in each unit (tracer, image) or common to all readings. The functions are those with which `diagnose`
+finds such errors. Method: docs/algorithms/evidence.md (correlated errors).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from metrocli import units
+from metrocli.adjust.model.chain import LinkContext, Step
+from metrocli.adjust.model.groups import Group
+from metrocli.adjust.model.quantities import AtQuantity
+from metrocli.arrays import Array, Index
+from metrocli.effects.covariates import (
+    Covariate,
+    Covariates,
+    StatedCorrelation,
+    kernel,
+    least_length,
+    smooth_functions,
+)
+from metrocli.effects.effect import Effect, Parameter
+from metrocli.effects.extension import extended, with_conditions, with_effect_everywhere
+from metrocli.effects.model import Model
+from metrocli.effects.wanted import Wanted
+from metrocli.errors import Fault, InputError
+from metrocli.frozen import dataclass
+from metrocli.nodes import Node
+from metrocli.words import in_a_row, suggestion
+
+
+@dataclass(frozen=True)
+class SmoothError(AtQuantity):
+    """Link `y_a += sum_k c_ak B_k`, a the component of a reading; columns c_11, c_12, .. of its block."""
+
+    functions: tuple[str, ...]
+    """Conditions B_k"""
+
+    def step(self, value: Array, local: LinkContext) -> Step:
+        """Return the readings (d, n) with the error."""
+        basis = np.stack([local.observations.conditions[name] for name in self.functions])
+        d, (k, n) = len(value), basis.shape
+        added = (local.rows(self.block).reshape(d, k, -1) * basis).sum(axis=1)
+        by_block = np.zeros((d, d, k, n))
+        by_block[np.arange(d), np.arange(d)] = basis
+        return Step(value + added, None, {self.block: by_block.reshape(d, d * k, n)})
+
+
+NAME = "correlated-error"
+_ERROR = Effect(NAME, "errors of the readings that vary smoothly with a covariate", (Parameter("c1"),), throughout=True)
+
+
+def wanted(stated: Sequence[StatedCorrelation], nodes: Sequence[Node], covariates: Covariates) -> tuple[Wanted, ...]:
+    """Return the entries of `correlated:` among the effects that a job wants."""
+    return tuple(
+        Wanted((_ERROR,), {}, vars(one), node, 1.0, (one, covariates)) for one, node in zip(stated, nodes, strict=True)
+    )
+
+
+def with_all(model: Model, requests: Iterable[Wanted]) -> Model:
+    """Return the model with the effects and the correlated errors that a job wants.
+
+    Raises InputError that lists every one that the readings cannot have, with the reason.
+    """
+    requests = tuple(requests)
+    model = extended(model, requests)
+    stated = [(one.node, *one.correlation) for one in requests if one.correlation is not None]
+    if not stated:
+        return model
+    model, faults = with_conditions(model), list[Fault]()
+    known = {one.name: one for one in stated[0][2](model) if not one.together}
+    for node, error, _ in stated:
+        own = _misplaced(model, error, known, node)
+        if not own:
+            model, own = _with_error(model, error, known[error.covariate], node)
+        faults.extend(own)
+    if faults:
+        raise InputError(faults)
+    return model
+
+
+def _misplaced(model: Model, error: StatedCorrelation, known: Mapping[str, Covariate], node: Node) -> list[Fault]:
+    """Return a fault where the readings have no such covariate, no such kind of place, or no such place."""
+    if error.covariate not in known:
+        at = node.get("covariate") or node
+        message = f"correlated: the readings have no covariate '{error.covariate}'"
+        return [at.fault(message, f"one of: {in_a_row(list(known))}")]
+    kinds = [key for key, place in model.places.items() if place.index]
+    if error.by and error.by not in kinds:
+        at = node.get("by") or node
+        return [at.fault(f"correlated: the readings have no '{error.by}' of their own", f"one of: {in_a_row(kinds)}")]
+    if error.only and not error.by:
+        return [node.fault("correlated: `only` without `by`", "write by: the kind of that place, such as tracer")]
+    if error.only and error.only not in model.places[error.by].names:
+        at = node.get("only") or node
+        names = model.places[error.by].names
+        return [at.fault(f"correlated: there is no {error.by} '{error.only}'", suggestion(error.only, names))]
+    return []
+
+
+def _with_error(model: Model, error: StatedCorrelation, covariate: Covariate, node: Node) -> tuple[Model, list[Fault]]:
+    groups = [group for group in model.readings if group.name in covariate.values]
+    labels = [_labels(model, group, error.by) for group in groups]
+    smooth = smooth_functions(covariate, groups, labels, len(model.places[error.by].names) if error.by else 1)
+    if smooth is None:
+        words = f"correlated: too few readings{f' of each {error.by}' if error.by else ''} for an error over this"
+        return model, [node.fault(words, "leave the entry out, or take readings of more of them together")]
+    least = least_length(smooth.distances)
+    if error.length < least:
+        at = node.get("length") or node
+        return model, [at.fault(f"correlated: {covariate.name} resolves no length below {least:.2g}")]
+    stds = _stds(error.std, groups)
+    if stds is None:
+        at = node.get("std") or node
+        return model, [at.fault(f"correlated: std: '{error.std}' is no size of these readings", "write 0.8 um")]
+    turn = kernel(smooth.distances, error.length)
+    for group, (values, numbers), std in zip(groups, smooth.values, stds, strict=True):
+        basis = np.einsum("nm,nmk->kn", values, turn[numbers])
+        model = _with_group(model, group.name, error, basis, std)
+    return model, []
+
+
+def _labels(model: Model, group: Group, by: str) -> Index:
+    """Return the number of the unit of each reading of a group, (n,)."""
+    index = group.observations.index.get(model.places[by].index) if by else None
+    return np.zeros(group.observations.count, dtype=np.intp) if index is None else index
+
+
+def _stds(text: str, groups: Sequence[Group]) -> list[float] | None:
+    """Return the size in the unit of each group: one for all in units of their noise; None if it is in none of them."""
+    typical = [float(np.median(group.observations.deviations)) for group in groups]
+    for name in units.DIMENSIONS:
+        of_unit = [at for at, one in enumerate(groups) if one.observations.unit == units.internal_unit(name)]
+        if of_unit:
+            try:
+                size = units.parse_quantity(text, name)
+            except units.QuantityError:
+                continue
+            if size > 0:
+                own = float(np.median(np.concatenate([groups[at].observations.deviations.ravel() for at in of_unit])))
+                return [size / own * each for each in typical]
+    return None
+
+
+def _with_group(model: Model, name: str, error: StatedCorrelation, basis: Array, std: float) -> Model:
+    """Return the model with an error of one group, whose smooth functions (k, n) become conditions of its readings."""
+    number = sum(added.effect.name == NAME for added in model.added) + 1
+    group = model.group(name)
+    observations, deviations = group.observations, group.observations.deviations
+    # in units of the declared noise, as diagnose has it: noisier readings have more of it
+    relative = np.sqrt((deviations**2).mean(axis=0)) / np.median(deviations)
+    keys = tuple(f"{NAME} {number} {j}" for j in range(len(basis)))
+    conditions: Mapping[str, Array] = dict(zip(keys, basis * relative, strict=True))
+    group = replace(group, observations=replace(observations, conditions={**observations.conditions, **conditions}))
+    components = len(observations.readings)
+    dimension = next((one for one in units.DIMENSIONS if units.internal_unit(one) == observations.unit), "")
+    parameters = tuple(Parameter(f"c{j + 1}", dimension, std) for j in range(components * len(basis)))
+    at = group.chain.links[-1].gives
+    effect = replace(
+        _ERROR,
+        parameters=parameters,
+        link=lambda block, where: SmoothError(block, at, keys),
+        where=(error.by,) if error.by else (),
+        needs=keys[:1],
+    )
+    model = model.with_group(group)
+    return with_effect_everywhere(model, effect, std, [(error.only,)] if error.only else None)

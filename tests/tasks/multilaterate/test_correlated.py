@@ -1,0 +1,129 @@
+"""Correlated errors that a job states, against generalised least squares with their covariance written out."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.distance import pdist
+
+from metrocli.formats import hdf5
+
+POINTS, KNOTS, LENGTH, STD, SIGMA = 40, 17, 0.25, 1.5e-3, 5e-4
+JOB = """metrocli: 1
+job: multilaterate
+inputs: {lengths: lengths.csv, points: points.csv, tracers: tracers.csv}
+noise: {constant: 0.5 um, proportional: 0 um/m}
+output: result.h5
+"""
+STATED = "correlated=[{covariate: t_s, by: tracer, length: 0.25, std: 1.5 um}]"
+
+
+def matern(apart: np.ndarray) -> np.ndarray:
+    return (1 + np.sqrt(3) * apart / LENGTH) * np.exp(-np.sqrt(3) * apart / LENGTH)
+
+
+def measured(seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Write the files of a network whose tracers waver; return places, tracers and lengths (points, tracers)."""
+    rng = np.random.default_rng(seed)
+    points = rng.uniform([0, 0, 0], [1500, 1200, 900], (POINTS, 3))
+    tracers = np.array([[-400, -300, -200], [1900, -350, -150], [800, 1700, -100], [750, 500, 1500.0]])
+    share = np.linspace(0, 1, POINTS)
+    root = np.linalg.cholesky(matern(np.abs(share[:, None] - share)) + 1e-9 * np.eye(POINTS))
+    lengths = np.linalg.norm(points[:, None] - tracers, axis=2) - 100.0
+    lengths += STD * root @ rng.normal(size=(POINTS, 4)) + SIGMA * rng.normal(size=(POINTS, 4))
+    rows = [f"P{i},T{k + 1},{lengths[i, k]:.9f},{30 * i}" for k in range(4) for i in range(POINTS)]
+    Path("lengths.csv").write_text("\n".join(["point,tracer,length_mm,t_s", *rows, ""]))
+    for name, places, head in (("points", points, "P"), ("tracers", tracers, "T")):
+        first = 0 if head == "P" else 1
+        listed = [f"{head}{i + first},{x:.6f},{y:.6f},{z:.6f}" for i, (x, y, z) in enumerate(places)]
+        Path(f"{name}.csv").write_text("\n".join([f"{name[:-1]},x_mm,y_mm,z_mm", *listed, ""]))
+    Path("job.yaml").write_text(JOB)
+    return points, tracers, lengths
+
+
+def generalised(points: np.ndarray, tracers: np.ndarray, lengths: np.ndarray) -> tuple[np.ndarray, float]:
+    """Return the points of a free network by least squares with the whole covariance of its lengths, and chi-squared."""
+    knots = np.linspace(0, 1, KNOTS)
+    values, vectors = np.linalg.eigh(matern(np.abs(knots[:, None] - knots)))
+    kept = values > 0.02 * values[-1]  # as the program leaves out what knots hardly show
+    basis = np.stack([np.interp(np.linspace(0, 1, POINTS), knots, row) for row in np.eye(KNOTS)], axis=1)
+    smooth = basis @ (vectors[:, kept] * values[kept]) @ vectors[:, kept].T @ basis.T
+    weigh = np.linalg.inv(np.linalg.cholesky(SIGMA**2 * np.eye(POINTS) + STD**2 * smooth))
+    x = np.concatenate([points.ravel(), tracers.ravel(), np.full(4, 100.0)])
+    for _ in range(6):
+        p, t = x[: 3 * POINTS].reshape(-1, 3), x[3 * POINTS : -4].reshape(-1, 3)
+        beam = p[:, None] - t
+        far = np.linalg.norm(beam, axis=2)
+        jacobian = np.zeros((4, POINTS, len(x)))
+        for k in range(4):
+            for i in range(POINTS):
+                unit = beam[i, k] / far[i, k]
+                jacobian[k, i, 3 * i : 3 * i + 3] = unit
+                jacobian[k, i, 3 * POINTS + 3 * k : 3 * POINTS + 3 * k + 3] = -unit
+                jacobian[k, i, -4 + k] = -1.0
+        left = (lengths - far + x[-4:]).T
+        whitened = (weigh @ jacobian).reshape(-1, len(x))
+        step = np.linalg.lstsq(whitened, (left @ weigh.T).ravel(), rcond=1e-9)[0]
+        x = x + step
+    rest = (left @ weigh.T).ravel() - whitened @ step
+    return x[: 3 * POINTS].reshape(-1, 3), float(rest @ rest)
+
+
+def test_the_result_is_that_of_generalised_least_squares(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, metrocli: Callable[..., object]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    true = measured(7)
+    points, chi2 = generalised(*true)
+    assert metrocli("multilaterate", "job.yaml", "--set", STATED).code == 0
+    result, _ = hdf5.read(Path("result.h5"))
+    table = result.tables["points"]
+    found = np.stack([table.numbers(axis) for axis in "xyz"], axis=1)
+    assert pdist(found) == pytest.approx(pdist(points), abs=1e-7)
+    assert result.statistics["chi2"] == pytest.approx(chi2, rel=1e-6)
+    assert "effects/correlated-error/parameters" in result.tables
+    metrocli("multilaterate", "job.yaml", "--set", "output=plain.h5")
+    white = hdf5.read(Path("plain.h5"))[0].tables["points"]
+    off = [
+        np.sqrt(((pdist(places) - pdist(true[0])) ** 2).mean())
+        for places in (found, np.stack([white.numbers(a) for a in "xyz"], axis=1))
+    ]
+    assert off[0] < 0.8 * off[1]
+
+
+def test_the_extended_job_states_what_diagnose_found_and_is_clean(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, metrocli: Callable[..., object]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    measured(8)
+    first = metrocli("diagnose", "job.yaml")
+    assert "errors: its uncertainties include the structure left" in first.out
+    extended = Path("job.extended.yaml").read_text()
+    assert "correlated:" in extended
+    assert "model: structured" not in extended
+    assert metrocli("diagnose", "job.extended.yaml").out.startswith("verdict: clean")
+
+
+@pytest.mark.parametrize(
+    ("stated", "words"),
+    [
+        ("{covariate: temp_degC, by: tracer, length: 0.25, std: 1 um}", "no covariate 'temp_degC'"),
+        ("{covariate: t_s, by: image, length: 0.25, std: 1 um}", "no 'image' of their own"),
+        ("{covariate: t_s, by: tracer, only: T9, length: 0.25, std: 1 um}", "there is no tracer 'T9'"),
+        ("{covariate: t_s, only: T1, length: 0.25, std: 1 um}", "`only` without `by`"),
+        ("{covariate: t_s, by: tracer, length: 0.001, std: 1 um}", "resolves no length below"),
+        ("{covariate: t_s, by: tracer, length: 0.25, std: 1 px}", "is no size of these readings"),
+        ("{covariate: t_s, by: tracer, length: 2, std: 1 um}", "2 is out of range"),
+        ("{covariate: t_s, by: tracer, length: 0.25}", "the key 'std' is missing"),
+    ],
+)
+def test_what_the_readings_cannot_have_is_refused_in_words(
+    stated: str, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, metrocli: Callable[..., object]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    measured(9)
+    ran = metrocli("multilaterate", "job.yaml", "--set", f"correlated=[{stated}]")
+    assert ran.code == 3
+    assert words in ran.err
+    assert not Path("result.h5").exists()
