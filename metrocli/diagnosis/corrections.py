@@ -71,7 +71,7 @@ def _of_table(table: Table) -> Iterator[tuple[str, str, float, Table]]:
     yield from _units_of_angles(table, angles)
     for one, other in combinations(angles, 2):
         yield (*_swap(one, other), 1.0, _swapped(table, one, other))
-    for angle in (one for one in angles if one not in _TURNING):
+    for angle in (angle for angle in angles if angle not in _TURNING):
         yield _sign(angle)[0], _sign(angle)[1], 1.0, _scaled(table, [angle], -1.0)
     yield from _of_axes(table, [name for name in _AXES if name in table])
 

@@ -209,7 +209,7 @@ def _left(
     of all that is identified.
     """
     job, misfit = state.measurement.job, gain.before**2 if gain is not None and gain.before else None
-    law = next((one for one in laws if one.chosen), None)
+    law = next((law for law in laws if law.chosen), None)
     if law is not None:
         names = dict.fromkeys(name for term in law.terms for name in term.form.variables)
         where = tuple(name for _, name in law.terms[0].spot.where)

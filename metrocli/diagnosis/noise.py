@@ -80,7 +80,7 @@ def weights_of(job: AdjustedJob, units: Sequence[VarianceGroup]) -> Mapping[str,
 
 def _reweighted(job: AdjustedJob, weights: Mapping[str, Array], unit: VarianceGroup) -> dict[str, Array]:
     if unit.key in (DECLARED_SIGMA, READING):
-        count = next(one.observations.count for one in job.model.groups if one.name == unit.name)
+        count = next(group.observations.count for group in job.model.groups if group.name == unit.name)
         return {**weights, unit.name: weights.get(unit.name, np.ones(count)) / unit.ratio}
     place = job.model.places[unit.key]
     number = place.names.index(unit.name)

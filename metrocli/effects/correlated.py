@@ -70,7 +70,7 @@ def with_all(model: Model, requests: Iterable[Wanted]) -> Model:
     """
     requests = tuple(requests)
     model = extended(model, requests)
-    stated = [(one.node, *one.correlation) for one in requests if one.correlation is not None]
+    stated = [(request.node, *request.correlation) for request in requests if request.correlation is not None]
     if not stated:
         return model
     model, faults = with_conditions(model), list[Fault]()

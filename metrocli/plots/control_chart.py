@@ -109,7 +109,7 @@ def draw(canvas: Canvas, series: tuple[Series, ...]) -> str:
     left = f" The first {_MOST} of {len(series)} estimates are shown." if len(series) > _MOST else ""
     dashed = " Dashed: limits of the tolerance." if any(np.isfinite(one.tolerance).any() for one in shown) else ""
     points = "Points: estimates with two standard uncertainties. Line: mean."
-    if not any(one.limited for one in series):
+    if not any(line.limited for line in series):
         return f"{points} Control limits need {LEAST} parts.{dashed}{left}"
     band = f"Band: the mean plus and minus 2.66 mean moving ranges (ISO 7870-2); {_count(series)}"
     return f"{points} {band}{dashed}{left}"

@@ -34,7 +34,7 @@ def has_machine(result: Result) -> bool:
 def digest_of(result: Result) -> str:
     """Return a digest of the entries of all tables and their covariance: equal for results of the same calibration."""
     parts = (_values(result), result.arrays[TABLES_COVARIANCE])
-    return sha256(b"".join(np.ascontiguousarray(one).tobytes() for one in parts)).hexdigest()
+    return sha256(b"".join(np.ascontiguousarray(part).tobytes() for part in parts)).hexdigest()
 
 
 def error_motion(result: Result, position: Array, tool: Array) -> tuple[Array, Array]:

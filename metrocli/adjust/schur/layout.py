@@ -89,9 +89,3 @@ def tied_members(block: Block, groups: Sequence[Group]) -> Index | None:
                 return None
             tied += [index.ravel()] if index.ndim > 1 and len(index) > 1 else []
     return np.unique(np.concatenate(tied))
-
-
-def single_touch(block: Block, groups: Sequence[Group]) -> bool:
-    """Return whether each reading of some groups uses at most one member of a block."""
-    tied = tied_members(block, groups)
-    return tied is not None and not len(tied)

@@ -66,7 +66,7 @@ class _Nested:
     def _chosen(self, fold: Fold, model: Model, name: IdentifiedEffect) -> Fixed | None:
         """Return the effect, or its rival, that the other readings choose; None if they choose another one, or none."""
         m = self.state.measurement
-        others = model.with_fixed(one for one in model.fixed if one.key != name.key)
+        others = model.with_fixed(part for part in model.fixed if part.key != name.key)
         spots = {name.alternative.spot, *(rival.alternative.spot for rival in name.rivals)}
         train = Train.of(fold, others, self.state)
         best, at = -np.inf, (0, 0)
@@ -76,7 +76,7 @@ class _Nested:
                 best, at = float(net.max()), (number, int(np.argmax(net)))
         if best <= (FURTHER if others.fixed else 0.0) or m.alternative(at).spot not in spots:
             return None
-        return next((one for one in model.fixed if one.key == at), None) or m.effect(*at)
+        return next((part for part in model.fixed if part.key == at), None) or m.effect(*at)
 
 
 def gain_between(before: State, after: State) -> Gain:

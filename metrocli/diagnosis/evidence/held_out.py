@@ -127,12 +127,12 @@ class Fold:
 
     def shown(self, fixed: Iterable[Fixed]) -> tuple[Fixed, ...]:
         """Return the fixed parts that other readings than those held out show: not the effect of a held-out image."""
-        return tuple(one for one in fixed if one.is_reading or one.columns[~self.mask].any())
+        return tuple(part for part in fixed if part.is_reading or part.columns[~self.mask].any())
 
     def others(self, fixed: Iterable[Fixed]) -> tuple[Fixed, ...]:
         """Return fixed parts without the errors of readings that are held out, with what takes these out."""
         m = self.measurement
-        kept = (one for one in self.shown(fixed) if not (one.is_reading and self.mask[m.places[one.number]].any()))
+        kept = (part for part in self.shown(fixed) if not (part.is_reading and self.mask[m.places[part.number]].any()))
         return (*kept, *self.taken_out)
 
     def products(self, model: Model) -> Products:
@@ -165,8 +165,8 @@ class Fold:
         model = model.with_fixed(self.shown(model.fixed))
         everything = model.fitted(m)
         fit = fit_at(self.products(model), model.logs)
-        ranks = sum(one.rank for one in model.fixed)
-        fewer = sum(one.rank for one in self.others(model.fixed))
+        ranks = sum(part.rank for part in model.fixed)
+        fewer = sum(part.rank for part in self.others(model.fixed))
         score = _log_marginal(everything, ranks) - _log_marginal(fit, fewer)
         spared = np.zeros(m.system.rows, dtype=bool)
         for one in model.fixed:
@@ -213,7 +213,7 @@ class Train:
         parts = [*shared_parts(m, fixed, model.random), ("residual", m.system.residual[:, None])]
         if local_columns(m, model.random).shape[1]:
             parts = [(key, _free(state, basis, key, columns)) for key, columns in parts]
-        return cls(fold, state, basis, tuple(parts), fit, fit.dof - sum(one.rank for one in fixed))
+        return cls(fold, state, basis, tuple(parts), fit, fit.dof - sum(part.rank for part in fixed))
 
     def nets(self, number: int) -> Array:
         """Return the net gain of each alternative of a family; -inf where it explains nothing."""

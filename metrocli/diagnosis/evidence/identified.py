@@ -77,13 +77,13 @@ class IdentifiedEffect:
         return {**dict(self.alternative.scanned), **dict.fromkeys(self.held, 0.0)}
 
 
-def identified(state: State, one: Fixed, with_rivals: bool = True) -> IdentifiedEffect:
+def identified(state: State, part: Fixed, with_rivals: bool = True) -> IdentifiedEffect:
     """Return an effect of a state with its sizes beside all else."""
     m = state.measurement
-    family = m.families[one.family]
-    less = state.beside(one)
-    gram, right = (values[one.number] for values in less.left(one.family))
-    raw = family.raw[one.number]
+    family = m.families[part.family]
+    less = state.beside(part)
+    gram, right = (values[part.number] for values in less.left(part.family))
+    raw = family.raw[part.number]
     seen, apart = determined(gram, raw)
     scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))[seen]
     inverse = np.linalg.pinv(gram[np.ix_(seen, seen)] / scale / scale[:, None], 1e-11, hermitian=True)
@@ -93,11 +93,11 @@ def identified(state: State, one: Fixed, with_rivals: bool = True) -> Identified
     share = np.array(min(float(values @ right) / less.fit.squares, 1.0))
     rank = int(seen.sum())
     single = float(log_tail(share, rank, max(less.freedoms - rank, 1.0)))
-    level = float(log_family(single, m.prices.tests[one.family]))
-    others = _rivals(less, one, values, state.variance) if with_rivals else ()
-    own = m.alternative(one.key)
+    level = float(log_family(single, m.prices.tests[part.family]))
+    others = _rivals(less, part, values, state.variance) if with_rivals else ()
+    own = m.alternative(part.key)
     return IdentifiedEffect(
-        one.key,
+        part.key,
         own,
         level,
         values,
@@ -106,14 +106,14 @@ def identified(state: State, one: Fixed, with_rivals: bool = True) -> Identified
         apart,
         tuple(rival for rival in others if rival.alternative.spot != own.spot),
         tuple(rival for rival in others if rival.alternative.spot == own.spot),
-        float(np.sqrt(max(values @ family.gram[one.number] @ values, 0.0))),
-        one.aliases,
+        float(np.sqrt(max(values @ family.gram[part.number] @ values, 0.0))),
+        part.aliases,
     )
 
 
 def all_identified(state: State, with_rivals: bool = True) -> tuple[IdentifiedEffect, ...]:
     """Return the identified effects of a state, in their order."""
-    return tuple(identified(state, one, with_rivals) for one in state.named)
+    return tuple(identified(state, part, with_rivals) for part in state.named)
 
 
 def determined(gram: Array, raw: Array) -> tuple[Mask, Mask]:
@@ -146,16 +146,16 @@ def explains_as_well(log_odds: Array, cosines2: Array, shown: Array | float) -> 
     return np.asarray((log_odds > -_ODDS) | ((cosines2 > _WIDE**2) & ((1 - cosines2) * shown < _NOT_APART)))
 
 
-def _rivals(less: State, one: Fixed, values: Array, variance: float) -> tuple[Rival, ...]:
+def _rivals(less: State, part: Fixed, values: Array, variance: float) -> tuple[Rival, ...]:
     """Return the best form of each other effect and place that explains as well as an effect, and its other forms.
 
     `less` is the state without it. A rival has nearly as much evidence, or the readings cannot tell the two apart.
     """
     m = less.measurement
-    own, squares, dof = m.alternative(one.key), less.fit.squares, less.freedoms
-    t, q = (found[one.number] for found in less.of_family(one.family))
-    mine = float(gain_of_columns(t, q, squares, dof)) - np.log(m.prices.tests[one.family])
-    whole = m.families[one.family].columns.whole([one.number], m.system.rows)[:, 0] @ values
+    own, squares, dof = m.alternative(part.key), less.fit.squares, less.freedoms
+    t, q = (found[part.number] for found in less.of_family(part.family))
+    mine = float(gain_of_columns(t, q, squares, dof)) - np.log(m.prices.tests[part.family])
+    whole = m.families[part.family].columns.whole([part.number], m.system.rows)[:, 0] @ values
     visible = less.seen(whole)
     shown = max(float(whole @ visible), 1e-300)
     taken = {m.alternative(other.key).spot for other in less.named}

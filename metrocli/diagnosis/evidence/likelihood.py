@@ -108,8 +108,8 @@ class Fit:
 
         if not len(self.lower):
             return self.lower
-        found = dpotri(self.lower, lower=1)[0]
-        return np.asarray(np.tril(found) + np.tril(found, -1).T)
+        inverse = dpotri(self.lower, lower=1)[0]
+        return np.asarray(np.tril(inverse) + np.tril(inverse, -1).T)
 
     @cached_property
     def sizes(self) -> Array:

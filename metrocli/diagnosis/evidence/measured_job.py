@@ -55,7 +55,7 @@ def measurement_of(
     families += unknown_families(job, system)
     places = _places(system, job)
     readings = int((1 - system.basis.squares(places[:, 0]) > _REDUNDANT).sum())
-    same = like is not None and [one.form for one in like.families] == [one.form for one in families]
+    same = like is not None and [family.form for family in like.families] == [family.form for family in families]
     prices = like.prices if same and like else counted(system, families, readings, np.random.default_rng(_SEED))
     return Measurement(
         job,
@@ -63,7 +63,7 @@ def measurement_of(
         tuple(families),
         not_tested,
         () if quick else tuple(_scatters(job, system, every)),
-        () if quick else tuple(Knots.of(one) for one in process_bases(job, system)),
+        () if quick else tuple(Knots.of(functions) for functions in process_bases(job, system)),
         places,
         () if quick else tuple(variance_groups(job, system)),
         prices,

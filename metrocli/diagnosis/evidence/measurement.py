@@ -108,7 +108,7 @@ class Measurement:
     def lengths(self, number: int) -> list[float]:
         """Return the lengths of correlation that the knots of a covariate resolve."""
         least = least_length(self.knots[number].functions.distances)
-        return [one for one in LENGTHS if one >= least]
+        return [length for length in LENGTHS if length >= least]
 
     def kernel(self, number: int, length: float) -> Array:
         """Return the root of the covariance between the knots of a covariate."""
@@ -152,10 +152,10 @@ class Measurement:
         """Whole columns of the families that are small enough, (rows, columns), and where those of each are."""
         rows, most = self.system.rows, _MOST_DENSE // self.system.rows
         parts, at, end = [np.zeros((rows, 0))], dict[int, slice](), 0
-        for family, one in enumerate(self.families):
-            size = one.columns.count * one.columns.parameters
+        for family, group in enumerate(self.families):
+            size = group.columns.count * group.columns.parameters
             if end + size <= most:
-                parts.append(one.columns.whole(range(one.columns.count), rows).reshape(rows, -1))
+                parts.append(group.columns.whole(range(group.columns.count), rows).reshape(rows, -1))
                 at[family] = slice(end, end + size)
                 end += size
         return np.concatenate(parts, axis=1), at
@@ -179,8 +179,8 @@ class Measurement:
         """Return an effect at a place as fixed columns."""
         whole = self.whole(family, number)
         unknown = bool(self.families[family].unknown)
-        one = fixed(whole, self.system.seen(whole), (family, number), 0.0, UNKNOWN if unknown else EFFECT)
-        return replace(one, price=self.price_of(family, max(one.rank, 1)))
+        effect = fixed(whole, self.system.seen(whole), (family, number), 0.0, UNKNOWN if unknown else EFFECT)
+        return replace(effect, price=self.price_of(family, max(effect.rank, 1)))
 
     def price_of(self, family: int, rank: int) -> float:
         """Return the price of an alternative of a family by its rank."""
@@ -195,8 +195,8 @@ class Measurement:
         rows = self.places[number][self.places[number] >= 0]
         whole = np.zeros((self.system.rows, len(rows)))
         whole[rows, np.arange(len(rows))] = 1.0
-        one = fixed(whole, self.system.seen(whole), (READINGS, number), 0.0, READING)
-        return replace(one, price=self.prices.of_columns(READINGS, max(one.rank, 1)))
+        error = fixed(whole, self.system.seen(whole), (READINGS, number), 0.0, READING)
+        return replace(error, price=self.prices.of_columns(READINGS, max(error.rank, 1)))
 
     def correlated(self, number: int, length: float, unit: int) -> Random:
         """Return an error that is correlated over a covariate."""
@@ -210,8 +210,8 @@ class Measurement:
     def scatter(self, number: int) -> Random:
         """Return an effect at all its places, with sizes of one variance in the unit of its parameters."""
         rows = self.system.rows
-        columns = [one.columns.whole(range(one.columns.count), rows) for one in self.scatters[number]]
-        every = np.concatenate([one.reshape(rows, -1) for one in columns], axis=1)
+        columns = [scatter.columns.whole(range(scatter.columns.count), rows) for scatter in self.scatters[number]]
+        every = np.concatenate([column.reshape(rows, -1) for column in columns], axis=1)
         if self.scatters[number][0].alternatives[0].effect.is_smooth:
             # a turn of the coefficients leaves them independent; most directions of a smooth shape are too small to see
             values, vectors = np.linalg.eigh(every.T @ every)

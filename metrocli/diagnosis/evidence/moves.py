@@ -49,7 +49,9 @@ class Move:
     @property
     def is_cause(self) -> bool:
         """Whether known effects enter, at a place or at all their places."""
-        return any(one.sort == EFFECT for one in self.fixed) or (self.found is not None and self.found.kind == SCATTER)
+        return any(part.sort == EFFECT for part in self.fixed) or (
+            self.found is not None and self.found.kind == SCATTER
+        )
 
     @property
     def has_correlated(self) -> bool:
@@ -64,7 +66,7 @@ class Move:
     @property
     def keys(self) -> tuple[tuple[int, ...], ...]:
         """Keys of the parts that enter."""
-        return (*(one.key for one in self.fixed), *(() if self.found is None else (self.found.key,)))
+        return (*(part.key for part in self.fixed), *(() if self.found is None else (self.found.key,)))
 
     def is_like(self, part: Fixed | Random) -> bool:
         """Return whether a part enters, or a correlated error over the same covariate of another length."""
@@ -109,11 +111,11 @@ def moves(state: State, quiet: set[int] | None = None) -> list[Move]:
     """Return what may enter a state, the best first; `quiet` are covariates that showed nothing before."""
     found = [*effects(state), *readings(state), *_masked_readings(state)]
     random = scattered_effects(state)[:1]
-    if sum(one.kind == CORRELATED for one in state.random) < _CORRELATED:
+    if sum(part.kind == CORRELATED for part in state.random) < _CORRELATED:
         random += correlated_errors(state, quiet)
-    found += [Move(one.net, found=one) for one in random]
+    found += [Move(entering.net, found=entering) for entering in random]
     found += _noise(state)
-    return sorted((one for one in found if one.net > -1), key=lambda one: -one.net)
+    return sorted((move for move in found if move.net > -1), key=lambda move: -move.net)
 
 
 def _noise(state: State) -> list[Move]:
@@ -121,21 +123,21 @@ def _noise(state: State) -> list[Move]:
 
     They are the most certain, and those of its kind nearly as certain.
     """
-    kinds, known = [one[0] for one in state.measurement.units], state.measurement.noise
+    kinds, known = [unit[0] for unit in state.measurement.units], state.measurement.noise
     # one of many units that is quieter than the others is no cause for anything
     groups = [
-        one
-        for one in noisier_groups(state)
-        if (one[0] > _STALE if one[1] in known else one[0] > 0)
+        group
+        for group in noisier_groups(state)
+        if (group[0] > _STALE if group[1] in known else group[0] > 0)
         and (
-            one[2] > AS_OTHERS
-            or one[1] in known
-            or (one[2] < 1 / AS_OTHERS and kinds[one[1]] in (READING, DECLARED_SIGMA))
+            group[2] > AS_OTHERS
+            or group[1] in known
+            or (group[2] < 1 / AS_OTHERS and kinds[group[1]] in (READING, DECLARED_SIGMA))
         )
     ]
     found = []
     for given in (True, False):
-        own = [one for one in groups if (kinds[one[1]] == DECLARED_SIGMA) == given]
+        own = [group for group in groups if (kinds[group[1]] == DECLARED_SIGMA) == given]
         alike = [one for one in own if kinds[one[1]] == kinds[own[0][1]] and one[0] > own[0][0] / 2]
         found += [Move(own[0][0], noise={number: ratio for _, number, ratio in alike}, given=given)] if own else []
     return found
@@ -148,7 +150,7 @@ def effects(state: State, most: int = 2) -> list[Move]:
     a tracer is an error of that reading. How many readings there are is no evidence for the jump.
     """
     m = state.measurement
-    taken = {m.alternative(one.key).form for one in (*state.named, *state.unknown)}
+    taken = {m.alternative(part.key).form for part in (*state.named, *state.unknown)}
     found: list[tuple[float, int, int, float]] = []
     for family in range(len(m.families)):
         gain, price, explained = state.gains_of_family(family)
@@ -157,7 +159,7 @@ def effects(state: State, most: int = 2) -> list[Move]:
             if net[at] > -1 and gain[at] > 0 and m.alternative((family, at)).form not in taken:
                 found.append((float(net[at]), family, at, float(explained[at])))
     found.sort(reverse=True)
-    chosen = (one for one in found if not _is_of_one_reading(state, *one[1:]))
+    chosen = (entering for entering in found if not _is_of_one_reading(state, *entering[1:]))
     return [Move(net, (m.effect(family, at),)) for net, family, at, _ in islice(chosen, most)]
 
 
@@ -182,14 +184,14 @@ def readings(state: State) -> list[Move]:
     m = state.measurement
     gain, price, t = state.gains_of_readings()
     net = gain - price
-    taken = {one.number for one in state.readings}
+    taken = {part.number for part in state.readings}
     order = [i for i in np.argsort(-net)[:_AT_ONCE].tolist() if net[i] > 0 and i not in taken]
     chosen: list[Fixed] = []
     for i in (i for i in order if t[i] > t[order[0]] / 4):
-        one = m.reading(i)
-        seen = m.system.seen(one.columns) if chosen else one.columns
+        error = m.reading(i)
+        seen = m.system.seen(error.columns) if chosen else error.columns
         if all(np.abs(other.columns.T @ seen).max(initial=0.0) < _APART for other in chosen):
-            chosen.append(one)
+            chosen.append(error)
     _must_be_held(state, len(chosen))
     return [Move(float(net[order[0]]), tuple(chosen))] if chosen else []
 
@@ -217,7 +219,7 @@ def _masked_readings(state: State) -> list[Move]:
     for _ in range(most):
         gain, _, t = at.gains_of_readings()
         worst = int(np.argmax(np.where(gain > 0, t, -np.inf)))
-        if gain[worst] <= 0 or worst in {one.number for one in at.readings}:
+        if gain[worst] <= 0 or worst in {part.number for part in at.readings}:
             break
         at = at.plus([state.measurement.reading(worst)])
         best = at if at.score > best.score else best

@@ -118,20 +118,20 @@ class Knots:
     def compact(self, turn: Array, unit: int = -1) -> Array:
         """Return the columns of each row's own unit, (rows, components*k), of a turn of the knots (knots, k)."""
         k = turn.shape[1]
-        found = np.zeros((len(self.values), self.components, k))
+        columns = np.zeros((len(self.values), self.components, k))
         mixed = np.einsum("rm,rmk->rk", self.values, turn[self.numbers])
         there = self.component >= 0
         if unit >= 0:
             there &= self.unit == unit
         rows = np.flatnonzero(there)
-        found[rows, self.component[rows]] = mixed[rows]
-        return found.reshape(len(found), -1)
+        columns[rows, self.component[rows]] = mixed[rows]
+        return columns.reshape(len(columns), -1)
 
     def spread(self, turn: Array, unit: int = -1) -> Array:
         """Return the columns of all units side by side, (rows, components*units*k), or those of one unit."""
         own = self.compact(turn, unit)
         if unit >= 0 or self.functions.count == 1:
             return own
-        found = np.zeros((len(own), self.functions.count, own.shape[1]))
-        found[np.arange(len(own)), self.unit] = own
-        return found.reshape(len(own), -1)
+        columns = np.zeros((len(own), self.functions.count, own.shape[1]))
+        columns[np.arange(len(own)), self.unit] = own
+        return columns.reshape(len(own), -1)

@@ -65,10 +65,10 @@ class Prices:
 
     def of_ranks(self, family: int, ranks: Array) -> Array:
         """Return the prices of the alternatives of a family by their ranks; 0 for rank 0."""
-        found = np.zeros(len(ranks))
+        prices = np.zeros(len(ranks))
         for rank in np.unique(ranks[ranks > 0]).tolist():
-            found[ranks == rank] = self.of_columns(family, int(rank))
-        return found
+            prices[ranks == rank] = self.of_columns(family, int(rank))
+        return prices
 
 
 def price_of_variance(tests: float, level: float = LEVEL) -> float:
@@ -87,8 +87,8 @@ def counted(system: Linearised, families: Sequence[CandidateGroup], readings: in
     system, families = of_some_members(system, families, rng)
     noise = system.seen(rng.normal(size=(system.rows, DRAWS)))
     squares, dof = (noise**2).sum(axis=0) + rng.chisquare(PRIOR, DRAWS), system.dof + PRIOR
-    least = [smallest_of_family(one.columns, one.gram, one.raw, noise, squares, dof) for one in families]
-    counts = [effective_number_of_tests(one) for one in least]
-    levels = [log_family(one, count) for one, count in zip(least, counts, strict=True)]
+    least = [smallest_of_family(family.columns, family.gram, family.raw, noise, squares, dof) for family in families]
+    counts = [effective_number_of_tests(levels_) for levels_ in least]
+    levels = [log_family(levels_, count) for levels_, count in zip(least, counts, strict=True)]
     causes = (effective_number_of_tests(np.min(levels, axis=0)) if levels else 0.0) + 1.0
     return Prices((*(causes * count for count in counts), causes * max(readings, 1)), every)

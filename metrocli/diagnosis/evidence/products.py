@@ -23,11 +23,11 @@ NEVER_HELD = (HELD_OUT, (0, 0))
 def local_part(m: Measurement, own: Array, x: Array) -> Array:
     """Return `E E' x` of columns E of single members."""
     order, begins = m.by_member
-    found = np.zeros(x.shape)
+    absorbed = np.zeros(x.shape)
     for a, b in pairwise(begins):
         rows = order[a:b]
-        found[rows] = own[rows] @ (own[rows].T @ x[rows])
-    return found
+        absorbed[rows] = own[rows] @ (own[rows].T @ x[rows])
+    return absorbed
 
 
 def within(m: Measurement, columns: Array) -> Array:
@@ -52,21 +52,27 @@ def shared_parts(
 
     Without the unknowns the others are free of these as well.
     """
-    others: list[tuple[object, Array]] = [((one.kind, one.key), one.columns) for one in random if not one.local]
-    others += [((one.sort, one.key), one.columns) for one in fixed]
+    others: list[tuple[object, Array]] = [((part.kind, part.key), part.columns) for part in random if not part.local]
+    others += [((part.sort, part.key), part.columns) for part in fixed]
     if unknowns:
-        return [("unknowns", m.system.basis.shared), *((key, without_local(m, key, one)) for key, one in others)]
+        return [
+            ("unknowns", m.system.basis.shared),
+            *((key, without_local(m, key, columns)) for key, columns in others),
+        ]
     return [*zip([("M", key) for key, _ in others], _without_unknowns(m, others), strict=True)]
 
 
 def _without_unknowns(m: Measurement, parts: Sequence[tuple[object, Array]]) -> list[Array]:
     """Return the columns of parts without what the unknowns absorb, computed once for each key but those held out."""
-    new = [(key, one) for key, one in parts if key == NEVER_HELD or ("M", key) not in m.held]
+    new = [(key, columns) for key, columns in parts if key == NEVER_HELD or ("M", key) not in m.held]
     found = dict[object, Array]()
     if new:
-        left, shared = np.concatenate([without_local(m, key, one) for key, one in new], axis=1), m.system.basis.shared
+        left, shared = (
+            np.concatenate([without_local(m, key, columns) for key, columns in new], axis=1),
+            m.system.basis.shared,
+        )
         left -= shared @ (shared.T @ left)
-        ends = np.cumsum([one.shape[1] for _, one in new])[:-1]
+        ends = np.cumsum([columns.shape[1] for _, columns in new])[:-1]
         for (key, _), own in zip(new, np.split(left, ends, axis=1), strict=True):
             if key == NEVER_HELD:
                 found[key] = own
@@ -92,7 +98,7 @@ def shared_columns(
 
 def _local_parts(m: Measurement, random: Sequence[Random]) -> list[tuple[object, Array]]:
     """Return the columns of errors of single members with their keys, free of the unknowns of these."""
-    keys = [((one.kind, one.key), one.columns) for one in random if one.local]
+    keys = [((part.kind, part.key), part.columns) for part in random if part.local]
     return [(key, without_local(m, key, columns)) for key, columns in keys]
 
 
@@ -122,7 +128,7 @@ def products_of(
     unknowns = shared[0][1].shape[1] if with_unknowns else 0
     kinds = [np.full(unknowns, -1)]
     kinds += [np.full(one.columns.shape[1], j) for j, one in enumerate(random) if not one.local]
-    kinds += [np.full(one.rank, -1) for one in fixed]
+    kinds += [np.full(part.rank, -1) for part in fixed]
     of_local = [np.full(one.columns.shape[1], j) for j, one in enumerate(random) if one.local]
     empty, members = np.zeros(0, dtype=np.intp), m.system.basis.members if local else 0
     own = np.zeros((members, 0, 0))
@@ -170,23 +176,23 @@ def _gram(m: Measurement, shared: Sequence[tuple[object, Array]], known: Product
     return gram, right
 
 
-def _product(m: Measurement, one: tuple[object, Array], other: tuple[object, Array]) -> Array:
+def _product(m: Measurement, first: tuple[object, Array], other: tuple[object, Array]) -> Array:
     """Return the product of the columns of two parts, computed once for those of known keys."""
-    key = "product", one[0], other[0]
-    if NEVER_HELD in (one[0], other[0]):
-        return one[1].T @ other[1]
+    key = "product", first[0], other[0]
+    if NEVER_HELD in (first[0], other[0]):
+        return first[1].T @ other[1]
     if key not in m.held:
-        m.held[key] = one[1].T @ other[1]
+        m.held[key] = first[1].T @ other[1]
     return m.held[key]
 
 
-def _of_members(m: Measurement, one: tuple[object, Array], other: tuple[object, Array]) -> Array:
+def _of_members(m: Measurement, first: tuple[object, Array], other: tuple[object, Array]) -> Array:
     """Return the products of the columns of two parts in each local member, (members, k, p)."""
-    key = "of members", one[0], other[0]
+    key = "of members", first[0], other[0]
     if key in m.held:
         return m.held[key]
     order, begins = m.by_member
-    found = np.stack([one[1][order[a:b]].T @ other[1][order[a:b]] for a, b in pairwise(begins)])
-    if NEVER_HELD not in (one[0], other[0]):
+    found = np.stack([first[1][order[a:b]].T @ other[1][order[a:b]] for a, b in pairwise(begins)])
+    if NEVER_HELD not in (first[0], other[0]):
         m.held[key] = found
     return found

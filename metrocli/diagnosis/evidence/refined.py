@@ -126,7 +126,7 @@ class _Scan:
         parameter = next(p for p in start.effect.scanned if p.name == self.name)
         if parameter.grid is None:
             return np.zeros(0)
-        here = (one for one in self.family.alternatives if one.instance == start.instance)
+        here = (alternative for alternative in self.family.alternatives if alternative.instance == start.instance)
         tried = np.unique([dict(one.scanned)[self.name] for one in here])
         own = dict(start.scanned)[self.name]
         low, high = tried[tried < own].max(initial=-np.inf), tried[tried > own].min(initial=np.inf)
@@ -146,12 +146,12 @@ class _Scan:
         if not is_filled(best.alternative.effect):
             return []
         found = []
-        for one in peaks:
-            value, here = self.value(one), self.value(best)
-            if abs(value - here) > _APART * abs(here) and self._odds(one, best) > _ALIKE:
+        for peak in peaks:
+            value, here = self.value(peak), self.value(best)
+            if abs(value - here) > _APART * abs(here) and self._odds(peak, best) > _ALIKE:
                 middle = self.at(best.alternative, (value + here) / 2)
                 if middle is not None and self._odds(middle, best) < _ALIKE:
-                    found.append((self.name, value, float(np.exp(self._odds(one, best)))))
+                    found.append((self.name, value, float(np.exp(self._odds(peak, best)))))
         return found
 
     def _odds(self, one: _Tried, best: _Tried) -> float:

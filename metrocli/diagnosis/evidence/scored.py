@@ -53,10 +53,10 @@ def _in_turn(gram: Array, right: Array, ranks: Sequence[int], squares: float, do
     scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
     unit = gram / scale / scale[:, None]
     lower = np.linalg.cholesky(unit + 1e-12 * np.eye(len(unit)))
-    found = np.linalg.solve(lower, right / scale) ** 2
+    explained = np.linalg.solve(lower, right / scale) ** 2
     # a column that depends on those before it explains nothing
-    found = np.where(np.diag(lower) > 1e-5, found, 0.0)
-    after = np.cumsum(np.concatenate([[0.0], found]))[np.cumsum([0, *ranks])]
+    explained = np.where(np.diag(lower) > 1e-5, explained, 0.0)
+    after = np.cumsum(np.concatenate([[0.0], explained]))[np.cumsum([0, *ranks])]
     left, free = np.maximum(squares - after[:-1], 1e-300), dof - np.cumsum([0, *ranks])[:-1]
     return float(gain_of_columns(np.diff(after), np.array(ranks), left, free).sum())
 
@@ -88,7 +88,7 @@ class Scored:
     ) -> Self:
         """Return a state, its sizes estimated from some on; `known` are the products of some of its parts."""
         products = products_of(measurement, fixed, random, known=known)
-        most = np.array([one.most for one in random])
+        most = np.array([part.most for part in random])
         fit = likeliest(products, np.array(logs, dtype=float), most, steps)
         return cls(measurement, tuple(fixed), tuple(random), fit)
 
@@ -100,30 +100,30 @@ class Scored:
     @property
     def named(self) -> tuple[Fixed, ...]:
         """The identified effects."""
-        return tuple(one for one in self.fixed if one.sort == EFFECT)
+        return tuple(part for part in self.fixed if part.sort == EFFECT)
 
     @property
     def unknown(self) -> tuple[Fixed, ...]:
         """What varies with a covariate for a cause that is not known."""
-        return tuple(one for one in self.fixed if one.sort == UNKNOWN)
+        return tuple(part for part in self.fixed if part.sort == UNKNOWN)
 
     @property
     def readings(self) -> tuple[Fixed, ...]:
         """The wrong readings."""
-        return tuple(one for one in self.fixed if one.is_reading)
+        return tuple(part for part in self.fixed if part.is_reading)
 
     @cached_property
     def given(self) -> Given:
         """The fixed columns, given the unknowns and the random parts."""
         at = self.fit.fixed
         lower, sought = self.fit.lower[at:, at:], self.fit.sought[at:]
-        ranks = tuple(one.rank for one in self.fixed)
+        ranks = tuple(part.rank for part in self.fixed)
         return Given(lower @ lower.T, lower @ sought, float(self.fit.squares + sought @ sought), self.fit.dof, ranks)
 
     @cached_property
     def freedoms(self) -> float:
         """Degrees of freedom beside all fixed columns."""
-        return float(self.fit.dof - sum(one.rank for one in self.fixed))
+        return float(self.fit.dof - sum(part.rank for part in self.fixed))
 
     @cached_property
     def noise_freedoms(self) -> float:
@@ -151,11 +151,11 @@ class Scored:
         return float(found + self.given.evidence(kept) - self._prices([self.fixed[j] for j in kept]))
 
     def _prices(self, fixed: Sequence[Fixed]) -> float:
-        names = sum(one.sort == EFFECT for one in fixed)
-        alone = all(not one.is_reading for one in fixed)
+        names = sum(part.sort == EFFECT for part in fixed)
+        alone = all(not part.is_reading for part in fixed)
         further = FURTHER * max(names - alone, 0)
         noise = len(self.measurement.noise) * self.measurement.price_of_noise
-        return noise + further + sum(one.price for one in fixed) + sum(one.price for one in self.random)
+        return noise + further + sum(part.price for part in fixed) + sum(part.price for part in self.random)
 
     def without_fixed(self) -> Array:
         """Return what each fixed part adds to the score, at the same sizes of the random parts."""
@@ -173,38 +173,40 @@ class Scored:
 
     def minus(self, parts: Sequence[Fixed | Random], steps: int = TRIAL) -> Self:
         """Return the state without some parts, all sizes estimated anew."""
-        gone = {id(one) for one in parts}
+        gone = {id(part) for part in parts}
         kept = [j for j, one in enumerate(self.random) if id(one) not in gone]
-        fixed = [one for one in self.fixed if id(one) not in gone]
+        fixed = [part for part in self.fixed if id(part) not in gone]
         random = [self.random[j] for j in kept]
         return type(self).of(self.measurement, fixed, random, self.logs[kept], steps, self.fit.products)
 
-    def beside(self, one: Fixed) -> Self:
+    def beside(self, part: Fixed) -> Self:
         """Return the state without a fixed part, at the same sizes of the random parts."""
-        others = [other for other in self.fixed if other is not one]
+        others = [other for other in self.fixed if other is not part]
         return type(self).of(self.measurement, others, self.random, self.logs, 0, self.fit.products)
 
-    def with_fixed(self, number: int, one: Fixed) -> Self:
+    def with_fixed(self, number: int, part: Fixed) -> Self:
         """Return the state with another fixed part in the place of one."""
-        fixed = (*self.fixed[:number], one, *self.fixed[number + 1 :])
+        fixed = (*self.fixed[:number], part, *self.fixed[number + 1 :])
         return type(self).of(self.measurement, fixed, self.random, self.logs, TRIAL, self.fit.products)
 
     def at(self, measurement: Measurement, random: bool = True) -> Self:
         """Return the state of the same parts, or of the fixed ones, in the measurement with other weights."""
-        keys = (one.key for one in self.fixed)
+        keys = (part.key for part in self.fixed)
         fixed = [measurement.reading(j) if i == READINGS else measurement.effect(i, j) for i, j in keys]
         if not random:
             return type(self).of(measurement, fixed)
-        return type(self).of(measurement, fixed, [remade(measurement, one) for one in self.random], self.logs)
+        return type(self).of(measurement, fixed, [remade(measurement, part) for part in self.random], self.logs)
 
     def settled(self) -> Self:
         """Return the state with all sizes estimated until they stay."""
         return self.plus(steps=12) if self.random else self
 
 
-def remade(m: Measurement, one: Random) -> Random:
+def remade(m: Measurement, part: Random) -> Random:
     """Return a random part of another linearisation in this one."""
-    return m.scatter(one.key[0]) if one.kind == SCATTER else m.correlated(one.key[0], LENGTHS[one.key[1]], one.key[2])
+    return (
+        m.scatter(part.key[0]) if part.kind == SCATTER else m.correlated(part.key[0], LENGTHS[part.key[1]], part.key[2])
+    )
 
 
 def at_sizes(state: Scored, logs: Array) -> Fit:

@@ -52,7 +52,7 @@ def _with_all_effects(state: State) -> State:
 
     A smooth function of the place in the image contains much of a skew. What it adds to the skew is small.
     """
-    while found := [one for one in effects(state) if one.net > 0 and one.is_cause]:
+    while found := [move for move in effects(state) if move.net > 0 and move.is_cause]:
         other = without_weak_fixed(found[0].made(state))
         if other.score <= state.score + _GAINED:
             break
@@ -76,13 +76,13 @@ def forward(
     for _ in range(most):
         if state.measurement.job.budget.spent():
             break
-        best = _best(state, [one for one in moves(state, quiet) if without is None or not one.is_like(without)])
+        best = _best(state, [move for move in moves(state, quiet) if without is None or not move.is_like(without)])
         if best is None or best.score <= state.score + max(_GAINED, least * (state.score - begin)):
             whole = without_weak_noise(without_weak_random(state))
             if whole is state or whole.score <= state.score + _GAINED:
                 break
             best = whole
-        new = {one.key for one in best.named} - {one.key for one in state.named}
+        new = {part.key for part in best.named} - {part.key for part in state.named}
         state = without_weak_fixed(refined(best.settled(), new))
         if stop is not None and stop(state):
             break
@@ -97,7 +97,7 @@ def _best(state: State, possible: Sequence[Move]) -> State | None:
     for move in possible[:_MOST_TRIED]:
         if move.net < first - max(_NEAR, 0.3 * first):
             break
-        if any(one.is_reading for one in move.fixed):
+        if any(part.is_reading for part in move.fixed):
             tried.append(_kept(_with_all_readings(move.made(state)), move))
         else:
             tried.append((*move.tried(state), move))
@@ -108,7 +108,7 @@ def _best(state: State, possible: Sequence[Move]) -> State | None:
             break
     best = max(tried, key=lambda one: one[0])
     chosen = best[2]
-    alike = [one for one in tried if one[0] > best[0] - _ALIKE]
+    alike = [trial for trial in tried if trial[0] > best[0] - _ALIKE]
     # a sigma that the job states explains as much as an effect at all places: it is what can be corrected
     given = [one for one in alike if one[2].given]
     # so can an effect: noise of its place, or a correlated error, does not say what is wrong there
@@ -173,15 +173,15 @@ def swapped(state: State) -> State:
     for _ in range(_SWAPS):
         better = None
         parts: list[Fixed | Random] = [*state.random, *state.named]
-        for one in parts:
+        for part in parts:
             if state.measurement.job.budget.spent():
                 return state
-            less = state.minus([one])
+            less = state.minus([part])
             own = state.score - less.score
-            if own > _CERTAIN or _others_in_turn(less, one) < own / 2:
+            if own > _CERTAIN or _others_in_turn(less, part) < own / 2:
                 continue
-            other = forward(less, 3, without=one)
-            if other.score > state.score + _margin(state, other, one):
+            other = forward(less, 3, without=part)
+            if other.score > state.score + _margin(state, other, part):
                 better = other
                 break
         if better is None:
@@ -209,10 +209,10 @@ def _others_in_turn(state: State, but: Fixed | Random) -> float:
 
     What a correlated error of another length or covariate explains instead would change no name.
     """
-    found = [one for one in moves(state) if one.net > 0 and not one.is_like(but)]
+    entering = [move for move in moves(state) if move.net > 0 and not move.is_like(but)]
     if isinstance(but, Random) and but.kind == CORRELATED:
-        found = found if any(one.is_cause for one in found[:_TRIED]) else []
-    return sum(one.net for one in found[:_TRIED])
+        entering = entering if any(one.is_cause for one in entering[:_TRIED]) else []
+    return sum(one.net for one in entering[:_TRIED])
 
 
 def _quick(state: State, number: int) -> float:

@@ -90,14 +90,14 @@ class State(Scored):
         left = self.measurement.system.residual
         if not self.members_are_free:
             return self.seen(left)
-        ends = np.cumsum([one.shape[1] for one in self._columns])[:-1]
+        ends = np.cumsum([column.shape[1] for column in self._columns])[:-1]
         sizes = np.split(self.fit.sizes, ends) if self._columns else []
         return np.asarray(left - sum(x @ own for x, own in zip(self._columns, sizes, strict=True)))
 
     @cached_property
     def members_are_free(self) -> bool:
         """Whether no errors of single members are in it, so that products with the columns since entered suffice."""
-        return not any(one.local for one in self.random)
+        return not any(part.local for part in self.random)
 
     def within(self, name: object, columns: Callable[[Array], Array], held: dict[object, Array] | None = None) -> Array:
         """Return `v'columns` (k, ...), where no member has errors, by the products of columns with others (rows, p).
@@ -157,19 +157,21 @@ class State(Scored):
         """Return the Gram matrices of the alternatives of a family, and their products with the residual."""
         if family not in self.held:
             m = self.measurement
-            one, at = m.families[family], m.side_by_side[1]
-            shape = one.columns.count, one.columns.parameters
+            group, at = m.families[family], m.side_by_side[1]
+            shape = group.columns.count, group.columns.parameters
             taken: Array | None
             if family in at:
                 right = self._along[-1, at[family]].reshape(shape)
                 taken = self._along[:-1, at[family]].reshape(-1, *shape).transpose(1, 2, 0)
             else:
-                right = one.columns.products(self.residual[:, None])[:, :, 0]
+                right = group.columns.products(self.residual[:, None])[:, :, 0]
                 taken = self._of_columns(family).transpose(1, 2, 0) if self.members_are_free else None
             if taken is None:
-                gram = one.columns.grams(self.basis)
+                gram = group.columns.grams(self.basis)
             else:
-                gram = (one.gram if self.members_are_free else m.whole_grams(family)) - taken @ np.swapaxes(taken, 1, 2)
+                gram = (group.gram if self.members_are_free else m.whole_grams(family)) - taken @ np.swapaxes(
+                    taken, 1, 2
+                )
             self.held[family] = gram, right
         gram, right = self.held[family]
         return gram, right
@@ -209,12 +211,12 @@ class State(Scored):
         inside = self.within(name, lambda x: x.T @ columns)
         return np.asarray(held["visible", name] - inside.T @ inside)
 
-    def taken_by(self, one: Fixed) -> Array:
+    def taken_by(self, part: Fixed) -> Array:
         """Return columns d, (rows, rank): without a fixed part the state would leave `P + d d'` of anything."""
         from scipy.linalg import solve_triangular
 
         ends = np.cumsum([0, *(each.rank for each in self.fixed)])
-        j = next(j for j, each in enumerate(self.fixed) if each is one)
+        j = next(j for j, each in enumerate(self.fixed) if each is part)
         at, lower = self.fit.fixed, self.fit.lower[self.fit.fixed :, self.fit.fixed :]
         inverse = np.linalg.inv(lower)
         own = slice(ends[j], ends[j + 1])

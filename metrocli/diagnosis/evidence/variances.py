@@ -132,7 +132,7 @@ def _of_units(state: State, number: int) -> tuple[Array, Array]:
             taken[unit] += inside.T @ inside
             right[unit] += c.T @ state.residual[rows]
             if others:
-                inside = np.concatenate([one[rows] for one in others], axis=1).T @ c
+                inside = np.concatenate([part[rows] for part in others], axis=1).T @ c
                 visible[unit] += c.T @ c - inside.T @ inside
     if others:
         held[key] = visible
@@ -146,7 +146,7 @@ def correlated_errors(state: State, quiet: set[int] | None = None, most: int = 3
     """
     quiet = set() if quiet is None else quiet
     m, scale = state.measurement, state.fit.dof / state.fit.squares
-    held = {one.key for one in state.random if one.kind == CORRELATED}
+    held = {part.key for part in state.random if part.kind == CORRELATED}
     scored: list[tuple[float, tuple[int, int, int], Array, Array]] = []
     for number, own in enumerate(m.knots):
         if number in quiet:
@@ -160,18 +160,18 @@ def correlated_errors(state: State, quiet: set[int] | None = None, most: int = 3
             scored.append((z, (number, at, -1), gram, right))
             if own.functions.count > 1:
                 scored += _singles(gram, right, scale, (number, at), own.functions.count)
-        if max((one[0] for one in scored[before:]), default=0.0) < _NOTICED:
+        if max((process[0] for process in scored[before:]), default=0.0) < _NOTICED:
             quiet.add(number)
-    scored = [one for one in scored if one[0] > _NOTICED and one[1] not in held]
-    several = sorted((one for one in scored if one[1][2] < 0), key=lambda one: -one[0])[: 2 * most]
-    single = sorted((one for one in scored if one[1][2] >= 0), key=lambda one: -one[0])[:most]
+    scored = [process for process in scored if process[0] > _NOTICED and process[1] not in held]
+    several = sorted((process for process in scored if process[1][2] < 0), key=lambda process: -process[0])[: 2 * most]
+    single = sorted((process for process in scored if process[1][2] >= 0), key=lambda process: -process[0])[:most]
     found = []
     for _, key, gram, right in (*several, *single):
         d, vectors = np.linalg.eigh(gram)
         along = np.einsum("ukd,uk->ud", vectors, right) ** 2 / np.maximum(d, 1e-300)
         gain, log = gain_of_variance(d.ravel(), along.ravel(), state.fit.squares, state.fit.dof, LARGEST)
         found.append(Found(gain - m.price_of_correlated(key[0], key[2]), CORRELATED, key, log))
-    return sorted(found, key=lambda one: -one.net)[:most]
+    return sorted(found, key=lambda process: -process.net)[:most]
 
 
 def _singles(
@@ -192,7 +192,7 @@ def _singles(
 def scattered_effects(state: State) -> list[Found]:
     """Return the effects at all their places with their quick net gains, the best first."""
     m = state.measurement
-    held, found = {one.key[0] for one in state.random if one.kind == SCATTER}, list[Found]()
+    held, found = {part.key[0] for part in state.random if part.kind == SCATTER}, list[Found]()
     for number in range(len(m.scatters)):
         if number in held:
             continue

@@ -31,9 +31,9 @@ def with_noise(measurement: Measurement, ratios: Mapping[int, float]) -> Measure
     weighted = own.system
     return replace(
         own,
-        families=tuple(_weighted(one, weighted, factor) for one in measurement.families),
+        families=tuple(_weighted(family, weighted, factor) for family in measurement.families),
         scatters=tuple(tuple(_weighted(one, weighted, factor) for one in own) for own in measurement.scatters),
-        knots=tuple(_knots(one, weighted, factor) for one in measurement.knots),
+        knots=tuple(_knots(knot, weighted, factor) for knot in measurement.knots),
     )
 
 
@@ -45,8 +45,8 @@ def ratios_in(state: State, ratios: Mapping[int, float]) -> tuple[float, dict[in
     m = state.measurement
     factor = _factor(m, ratios)
     own = _system_weighted(m, ratios, factor)
-    fixed = [replace(one, columns=one.columns * factor[:, None]) for one in state.fixed]
-    random = [replace(one, columns=one.columns * factor[:, None]) for one in state.random]
+    fixed = [replace(part, columns=part.columns * factor[:, None]) for part in state.fixed]
+    random = [replace(part, columns=part.columns * factor[:, None]) for part in state.random]
     after = State.of(own, fixed, random, state.logs)
     return after.score, {number: ratio * after.ratio_of(number) for number, ratio in ratios.items()}
 

@@ -149,7 +149,7 @@ class Library:
 
     def columns(self, term: Term) -> Array:
         """Return the whitened columns of a term, (rows, factors)."""
-        carrier = next(one for one in self._carriers if one.spot == term.spot)
+        carrier = next(carrier for carrier in self._carriers if carrier.spot == term.spot)
         full = np.zeros((self.system.rows, len(term.form.factors)))
         full[carrier.rows] = carrier.columns([term.form])[:, 0]
         return full

@@ -15,7 +15,7 @@ from metrocli.adjust.decompositions import thin_svd
 from metrocli.adjust.model.blocks import Array, Block
 from metrocli.adjust.model.groups import LinearGroup
 from metrocli.adjust.model.observations import Index, Mask
-from metrocli.adjust.schur.layout import Layout, single_touch, without_elimination
+from metrocli.adjust.schur.layout import Layout, tied_members, without_elimination
 from metrocli.diagnosis.linear.basis import Basis, members_of_equal_size
 from metrocli.diagnosis.linear.projection import MOST_NUMBERS, Linearised, by_rows, scatter
 from metrocli.diagnosis.linear.quadratics import orthonormalised
@@ -71,24 +71,25 @@ class LocalMembers:
     """Which members are local, (members,)"""
 
 
-def local_members(model: Model) -> LocalMembers:
-    """Return the block with the most unknowns of which no reading uses two members.
+_NOBODY = np.zeros(0, dtype=bool)
 
-    A few conditions, such as calibrated distances, may use two: their members are shared.
-    """
-    measured = list(model.readings)
-    candidates = [block for block in model.blocks.values() if block.free.any() and single_touch(block, measured)]
-    block = max(candidates, key=lambda one: int(one.free.sum()), default=None)
-    if block is None or len(block.members) < 2:
-        return LocalMembers(None, np.zeros(0, dtype=bool))
-    members = np.ones(len(block.members), dtype=bool)
-    for group in model.groups:
-        index = group.observations.index.get(block.name) if block.name in group.chain.blocks else None
-        if index is not None and index.ndim > 1 and len(index) > 1:
-            members[np.unique(index)] = False
-        elif index is None and block.name in group.chain.blocks:
-            return LocalMembers(None, np.zeros(0, dtype=bool))
-    return LocalMembers(block, members)
+
+def local_members(model: Model) -> LocalMembers:
+    """Return the block with the most unknowns in members of which no reading and no condition uses two."""
+    blocks = [block for block in model.blocks.values() if len(block.members) > 1]
+    tied = [(block, tied_members(block, model.groups)) for block in blocks]
+    apart = [(block, _without(block, members)) for block, members in tied if members is not None]
+    block, local = max(apart, key=lambda pair: int(pair[0].free[pair[1]].sum()), default=(None, _NOBODY))
+    if block is None or not block.free[local].any():
+        return LocalMembers(None, _NOBODY)
+    return LocalMembers(block, local)
+
+
+def _without(block: Block, tied: Index) -> Mask:
+    """Return the members of a block that are not tied, (members,)."""
+    local = np.ones(len(block.members), dtype=bool)
+    local[tied] = False
+    return local
 
 
 def _shared(model: Model, local: LocalMembers) -> Layout:

@@ -145,7 +145,7 @@ def _between(sketches: Mapping[float, Sequence[Array]], grid: Array) -> list[flo
 
 def any_apart(products: Array) -> bool:
     """Return whether a form between any two neighbours can be missed, from their sketches (alternatives, q, draws)."""
-    return any(_alike(*both) < _APART for both in itertools.pairwise(_orthonormal(one.T) for one in products))
+    return any(_alike(*both) < _APART for both in itertools.pairwise(_orthonormal(product.T) for product in products))
 
 
 def _alike(basis: Array, other: Array) -> float:

@@ -229,7 +229,7 @@ def _statistics(solved: AdjustedNetwork, solution: Solution) -> Statistics:
     for unit in ("rad", "mm"):
         values = [solved.residuals[group.name].values for group in solved.groups if group.observations.unit == unit]
         if values:
-            rms[unit] = float(np.sqrt(np.mean(np.concatenate([one.ravel() for one in values]) ** 2)))
+            rms[unit] = float(np.sqrt(np.mean(np.concatenate([value.ravel() for value in values]) ** 2)))
     return basic_statistics(solution, rms) | {"rejected": len(solved.rejected), "critical_w": solved.critical}
 
 

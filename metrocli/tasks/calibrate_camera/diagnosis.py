@@ -56,7 +56,7 @@ def adjusted_job(problem: CameraProblem, adjusted: AdjustedImages) -> AdjustedJo
 def all_covariates(model: Model) -> list[Covariate]:
     """Return the covariates of the image points of a calibration."""
     # what all images share over the image is the shape of the lens
-    known = (replace(one, of_units=one.name == PLACE) for one in covariates(model))
+    known = (replace(covariate, of_units=covariate.name == PLACE) for covariate in covariates(model))
     return [*known, place_of_target(model, 3)]
 
 

@@ -99,7 +99,7 @@ def _by_all(first: CalibratedCamera, second: CalibratedCamera, points: Array) ->
     """Return the pose with which the most images of the second camera fit any image of the first."""
     few = points[:: max(len(points) // 4, 1)]
     begins, ends = _thinned(first.places, _CANDIDATES), _thinned(second.places, _TRIED)
-    tried = [poses.compose(poses.inverse(one), other) for one in begins for other in ends]
+    tried = [poses.compose(poses.inverse(begin), other) for begin in begins for other in ends]
 
     def matching(pose: Array) -> int:
         all_of = (np.broadcast_to(end, first.places.shape) for end in ends)

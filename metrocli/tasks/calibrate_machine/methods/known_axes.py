@@ -76,13 +76,13 @@ class KnownAxes:
 
     def _by_values(self, blocks: Mapping[str, Block]) -> dict[str, Array]:
         """Return the derivatives of the entries by the values of each block, (entries, members, columns)."""
-        found = {one.block: np.zeros((len(self.entries), *blocks[one.block].values.shape)) for one in self.axes}
+        found = {axis.block: np.zeros((len(self.entries), *blocks[axis.block].values.shape)) for axis in self.axes}
         found[SQUARENESS] = np.zeros((len(self.entries), *blocks[SQUARENESS].values.shape))
         for i, (name, position) in enumerate(self.entries):
             if name not in _OF_AXES:
                 found[SQUARENESS][i, 0, blocks[SQUARENESS].column(name)] = 1.0
                 continue
-            axis = next(one for one in self.axes if one.letter == name[-1])
+            axis = next(axis for axis in self.axes if axis.letter == name[-1])
             column = blocks[axis.block].column(name)
             knot = int(np.argmin(np.abs(axis.knots - position)))
             found[axis.block][i, :, column] = axis.from_raw[column][knot]
