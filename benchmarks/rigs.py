@@ -4,20 +4,28 @@
 `opencv`: the pose of the right camera of OpenCV's stereo images by cv2.stereoCalibrate with the same lenses.
 `halves`: z between the halves of those images, with `noise: structured`, over random halvings.
 
-    python -m benchmarks rigs [simulated | opencv | halves] [COUNT]
+`aligned`: z of a part that both cameras of a rig see, one of them, or a camera of the model spline, calibrated anew
+(benchmarks/apart).
+
+    python -m benchmarks rigs [simulated | opencv | halves | aligned] [COUNT]
 """
 
 from __future__ import annotations
 
+import contextlib
+import io
 import sys
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
+import h5py
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
+from benchmarks.apart import rig
+from metrocli.cli.commands import run as command
 from metrocli.formats.images import read_images
 from metrocli.project.job import load
 from metrocli.project.runner import content
@@ -192,10 +200,36 @@ def halves(count: int) -> bool:
     return bool(0.7 <= np.sqrt(np.mean(np.square(z))) <= 1.3)
 
 
+def aligned(count: int) -> bool:
+    """Print the root mean square z of a part, seen by two cameras, by the second of them, and by one with a spline."""
+    met = []
+    for names in (("left", "right"), ("right",), ("wide",)):
+        z = []
+        for number in range(count):
+            with tempfile.TemporaryDirectory() as name:
+                folder = Path(name)
+                rig.write_jobs(folder, np.random.default_rng([73, number]), names)
+                with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
+                    jobs = (("calibrate-camera", "cam.yaml"), ("align-part", "job.yaml"))
+                    codes = [command([kind, str(folder / job)]) for kind, job in jobs]
+                if any(codes):
+                    raise RuntimeError(f"draw {number} of {names}: exit codes {codes}")
+                with h5py.File(folder / "part.h5") as file:
+                    rows = file["parameters"][:]
+            z.append([(row["value"] - rig.TRUTH[row["name"].decode()]) / row["std"] for row in rows])
+        rms = np.sqrt(np.mean(np.square(z), axis=0))
+        whole = float(np.sqrt(np.mean(np.square(z))))
+        each = ", ".join(f"{name} {value:.2f}" for name, value in zip(rig.TRUTH, rms, strict=True))
+        print(f"{count} parts seen by {' and '.join(names)}: z rms {whole:.3f} (0.95 to 1.05); of each: {each}")
+        met.append(0.95 <= whole <= 1.05)
+    return all(met)
+
+
 def main(arguments: list[str]) -> int:
     """Run what is named, or all."""
     count = next((int(one) for one in arguments if one.isdigit()), 0)
     tests = {"simulated": lambda: simulated(count or 100), "opencv": opencv, "halves": lambda: halves(count or 20)}
+    tests["aligned"] = lambda: aligned(count or 300)
     chosen = [name for name in tests if name in arguments] or list(tests)
     met = [tests[name]() for name in chosen]
     return 0 if all(met) else 1

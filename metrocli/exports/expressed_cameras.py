@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from metrocli.arrays import Array
-from metrocli.effects.links.lens_shape import Knots
+from metrocli.effects.links.lens_shape import unshifted
 from metrocli.errors import InputError
 from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.instruments.lenses.conventions import Converted, projection_range
 from metrocli.instruments.lenses.forms import PROGRAMS, LensForm, nearest
 from metrocli.result import Result
+from metrocli.tasks.shared.images.calibrated import StatedCamera, stated_cameras
 from metrocli.units.people import two_digits
-
-CAMERAS = "cameras"
-"""Table of several cameras: size of the images, and pose in the frame of the first"""
 
 
 @dataclass(frozen=True)
@@ -71,43 +70,25 @@ def expressed(program: str, result: Result, within: float, posed: bool = False) 
     """
     if "camera" not in result.tables or "convention" not in result.statistics:
         raise InputError(f"a result of {result.kind} is no camera: this format takes results of calibrate-camera")
-    table, convention = result.tables["camera"], str(result.statistics["convention"])
-    named = table.texts("parameter"), table.numbers("value").tolist()
-    if CAMERAS not in result.tables:
-        width, height = (int(float(result.statistics[name])) for name in _SIZE)  # type: ignore[arg-type]
-        lens, base = dict(zip(*named, strict=True)), _base_of(result, (width, height))
-        return [_of_program(program, (lens, convention), (width, height), within, base)]
-    cameras, expressed_ones = result.tables[CAMERAS], list[ExpressedCamera]()
-    rows = list(zip(table.texts("camera"), *named, strict=True))
-    for row, name in enumerate(cameras.texts("camera")):
-        own = {key: value for camera, key, value in rows if camera == name}
-        width, height = (int(cameras.numbers(key)[row]) for key in _SIZE)
-        one = _of_program(program, (own, convention), (width, height), within, None)
-        values = np.array([cameras.numbers(key)[row] for key in poses.EULER])
-        pose = poses.pose_from_euler(values[:3], values[3:]) if row else None
-        lost = (
-            "" if posed or pose is None else f"the pose of {name} beside {expressed_ones[0].name} is not in this format"
-        )
-        expressed_ones.append(replace(one, name=name, pose=pose, notes=(*one.notes, *filter(None, [lost]))))
-    return expressed_ones
+    found = list[ExpressedCamera]()
+    for stated in stated_cameras(result):
+        one = _of_program(program, stated, within)
+        lost = f"the pose of {stated.name} beside {found[0].name} is not in this format" if found and not posed else ""
+        found.append(replace(one, name=stated.name, pose=stated.pose, notes=(*one.notes, *filter(None, [lost]))))
+    return found
 
 
-def _of_program(
-    program: str,
-    lens_of: tuple[Mapping[str, float], str],
-    size: tuple[int, int],
-    within: float,
-    unshifted: Callable[[Array], Array] | None,
-) -> ExpressedCamera:
-    """Return a camera, of its lens parameters and their convention, as `expressed`."""
-    lens, convention = lens_of
+def _of_program(program: str, stated: StatedCamera, within: float) -> ExpressedCamera:
+    """Return a camera as `expressed`."""
+    lens, convention, size, shape = stated.lens, stated.convention, stated.size, stated.shape
+    base = partial(unshifted, shape=shape)
     forms, pixel = PROGRAMS[program].forms, PROGRAMS[program].pixel
-    exact = next((form for form in forms if unshifted is None and form.holds(lens, convention)), None)
+    exact = next((form for form in forms if shape is None and form.holds(lens, convention)), None)
     notes: tuple[str, ...] = ()
     if exact is not None:
         form, values = exact, exact.of(lens)
     else:
-        fitted = ((tried, nearest(lens, convention, size, tried, unshifted or np.asarray)) for tried in forms)
+        fitted = ((tried, nearest(lens, convention, size, tried, base)) for tried in forms)
         form, fit = _near([(tried, fit) for tried, fit in fitted if fit is not None], program, within)
         values, notes = dict(fit.values), (f"{form.title} is the nearest model of {program}: {_difference(fit)}",)
     if convention != "backward" and (fold := projection_range(lens, size, convention == "fisheye")):
@@ -116,17 +97,6 @@ def _of_program(
     return ExpressedCamera(form, shifted, size, notes)
 
 
-def _base_of(result: Result, image_size: tuple[int, int]) -> Callable[[Array], Array] | None:
-    """Return what takes image points to those of the base lens; None for a lens without a shape."""
-    if "lens_shape" not in result.tables:
-        return None
-    table = result.tables["lens_shape"]
-    knots = Knots(image_size, (len(np.unique(table.numbers("u"))), len(np.unique(table.numbers("v")))))
-    coefficients = np.stack([table.numbers("du"), table.numbers("dv")])
-    return lambda uv: knots.unshifted(coefficients, uv)
-
-
-_SIZE = ("image_width", "image_height")
 _AS_NEAR = 1.1
 """Ratio of largest differences up to which the model with fewer parameters is taken"""
 

@@ -54,6 +54,12 @@ FORMATS: dict[str, ImportFormat] = {
             "OpenCV, camera_calibration; and the manuals of the other programs",
         ),
     ),
+    "colmap-model": ImportFormat(
+        "metrocli.imports.colmap_model",
+        "image points and points of COLMAP: images.txt, points3D.txt (--unit)",
+        "colmap.github.io/format.html",
+        "unit",
+    ),
     "gama-xml": ImportFormat(
         "metrocli.imports.gama_xml",
         "spatial networks of GNU Gama (gama-local)",

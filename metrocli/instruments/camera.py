@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -79,12 +80,20 @@ def to_camera(rig: str, several: bool = False) -> tuple[Link, ...]:
     camera in the frame of the targets: one for all images (cmm) or one for each (network). Where several cameras are
     fixed to each other, it is the pose of the first, and one more link leads to the camera.
     """
-    camera = Quantity.POINT_IN_RIG if several else Quantity.POINT_IN_CAMERA
-    mount = (Into(MOUNT, camera, Quantity.POINT_IN_CAMERA),) if several else ()
     if rig == "board":
-        return (PointOf(TARGET, Quantity.POINT_ON_BOARD), OutOf(VIEW, Quantity.POINT_ON_BOARD, camera), *mount)
+        out = OutOf(VIEW, Quantity.POINT_ON_BOARD, Quantity.POINT_IN_CAMERA)
+        return (PointOf(TARGET, Quantity.POINT_ON_BOARD), *of_first(out, several))
     targets = Quantity.POINT_ON_TARGETS
-    return (PointOf(TARGET, targets), Into(TAPER if rig == "cmm" else VIEW, targets, camera), *mount)
+    into = Into(TAPER if rig == "cmm" else VIEW, targets, Quantity.POINT_IN_CAMERA)
+    return (PointOf(TARGET, targets), *of_first(into, several))
+
+
+def of_first(link: Into | OutOf, several: bool) -> tuple[Link, ...]:
+    """Return the link to a camera, or to the first of several and from there to each."""
+    if not several:
+        return (link,)
+    rig = Quantity.POINT_IN_RIG
+    return (replace(link, gives=rig), Into(MOUNT, rig, Quantity.POINT_IN_CAMERA))
 
 
 def chain(rig: str, convention: str, several: bool = False) -> Chain:

@@ -8,19 +8,19 @@ import numpy as np
 
 from metrocli.adjust.allowance import take
 from metrocli.adjust.model.blocks import Block, Space
-from metrocli.adjust.model.chain import Link, LinkContext, Step
+from metrocli.adjust.model.chain import Chain, LinkContext, Step
 from metrocli.adjust.model.groups import Group, prior
 from metrocli.adjust.model.quantities import OfBlock, Quantity
 from metrocli.arrays import Array
 from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.geometry.rotations import cross_matrix, nearest_rotation
-from metrocli.instruments.camera import TAPER, TARGET
+from metrocli.instruments.camera import TAPER, TARGET, lens_link, of_first
 from metrocli.instruments.frames import Into, OutOf, PointOf
 
 PART, SPINDLE, COUPLING, MACHINE = "part", "spindle", "coupling", "machine"
-"""Blocks: pose of the part in the machine, pose of the spindle in the machine for each image, clamping angle, and what
-a calibration of the machine leaves open"""
+"""Blocks: pose of the part in the machine, pose of the spindle in the machine at each exposure, clamping angle, and
+what a calibration of the machine leaves open"""
 
 _ANGLE_REACH = 0.5
 
@@ -59,7 +59,7 @@ class UncertainPoses:
     """
 
     spread: Array
-    """F (images, 6, k)"""
+    """F (exposures, 6, k)"""
     block: str = MACHINE
     takes = gives = Quantity.POINT_IN_MACHINE
 
@@ -79,15 +79,22 @@ class UncertainPoses:
         return Step(moved, np.eye(3)[:, :, None] - turned, {SPINDLE: by_pose, self.block: by_unknown})
 
 
-def to_camera(spread: Array | None = None) -> tuple[Link, ...]:
-    """Return the links from a target of the part to the camera frame; `spread` (images, 6, k) is that of the poses."""
-    return (
-        PointOf(TARGET, Quantity.POINT_IN_PART),
-        OutOf(PART, Quantity.POINT_IN_PART, Quantity.POINT_IN_MACHINE),
-        *([] if spread is None or not spread.shape[2] else [UncertainPoses(spread)]),
-        Into(SPINDLE, Quantity.POINT_IN_MACHINE, Quantity.POINT_IN_SPINDLE),
-        Coupling(COUPLING),
-        Into(TAPER, Quantity.POINT_IN_TAPER, Quantity.POINT_IN_CAMERA),
+def chain(convention: str, several: bool = False, spread: Array | None = None) -> Chain:
+    """Return the forward model of an image point; `spread` (exposures, 6, k) is that of the poses of the spindle.
+
+    Where several cameras are fixed to each other, the pose in the taper is that of the first, and one more link leads
+    to the camera.
+    """
+    return Chain(
+        (
+            PointOf(TARGET, Quantity.POINT_IN_PART),
+            OutOf(PART, Quantity.POINT_IN_PART, Quantity.POINT_IN_MACHINE),
+            *([] if spread is None or not spread.shape[2] else [UncertainPoses(spread)]),
+            Into(SPINDLE, Quantity.POINT_IN_MACHINE, Quantity.POINT_IN_SPINDLE),
+            Coupling(COUPLING),
+            *of_first(Into(TAPER, Quantity.POINT_IN_TAPER, Quantity.POINT_IN_CAMERA), several),
+            lens_link(convention),
+        )
     )
 
 
@@ -105,9 +112,9 @@ def coupling_block(angle: float, free: bool) -> Block:
     return Block(COUPLING, np.array([[angle]]), ("gamma_s",), free=np.array(free), reach=np.array(_ANGLE_REACH))
 
 
-def spindle_block(values: Array, images: Sequence[str]) -> Block:
+def spindle_block(values: Array, exposures: Sequence[str]) -> Block:
     """Return the block with the commanded poses of the spindle, which are known."""
-    return Block(SPINDLE, values, poses.COLUMNS, tuple(images), free=np.array(False), space=Space.POSE, noun="image")
+    return Block(SPINDLE, values, poses.COLUMNS, tuple(exposures), free=np.array(False), space=Space.POSE, noun="image")
 
 
 def machine_blocks(spread: Array) -> list[Block]:
@@ -137,7 +144,7 @@ class Rays:
 def rays(spindle: Array, camera: Array, angle: float, seen: Array, points: Array) -> Rays:
     """Return the lines of sight for a clamping angle.
 
-    Spindle poses are (n, 6), the camera in the taper is (6,), vectors `seen` in the camera (3, n).
+    Spindle poses are (n, 6), the camera in the taper is (6,) or (n, 6), vectors `seen` in the camera (3, n).
     """
     held = camera_in_machine(spindle, angle, camera)
     direction = (poses.rotation_of(held) @ seen.T[:, :, None])[:, :, 0]

@@ -9,7 +9,12 @@ from metrocli.targets.pattern import GRIDS
 from metrocli.words import suggestion
 
 _SIZE, _LENGTH = re.compile(r"([0-9]+)x([0-9]+)"), re.compile(r"([0-9.]+)\s*(mm|cm|um|m|in|inch)")
-_SECOND = {"charuco": "marker_size", "circles": "diameter", "asymmetric-circles": "diameter"}
+_SECOND = {
+    "charuco": "marker_size",
+    "aprilgrid": "marker_size",
+    "circles": "diameter",
+    "asymmetric-circles": "diameter",
+}
 """Key of the second length of a board"""
 _EXAMPLE = "e.g. 'chessboard 9x6 25 mm', 'charuco 11x8 15 mm 11 mm 4x4_50', 'circles 10x8 25 mm 15 mm'"
 

@@ -186,6 +186,12 @@ def board(pattern: Pattern) -> Drawing:
 
         cells, count = artwork(pattern)
         return Bitmap(cells, pattern.pitch / count, (-pattern.pitch, -pattern.pitch), pattern.pitch)
+    if pattern.type == "aprilgrid":
+        from metrocli.targets import aprilgrid
+
+        cells, cell = aprilgrid.artwork(pattern)
+        gap = pattern.pitch - (pattern.marker_size or 0.0)
+        return Bitmap(cells, cell, (-gap, -gap), pattern.pitch)
     if pattern.type == "chessboard":
         return Chessboard(columns, rows, pattern.pitch)
     radius = pattern.diameter / 2 if pattern.diameter else 0.3 * pattern.pitch

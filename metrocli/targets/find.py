@@ -54,6 +54,7 @@ MODULES = {
     "circles": "circles",
     "asymmetric-circles": "circles",
     "charuco": "charuco",
+    "aprilgrid": "aprilgrid",
     "coded-rings": "coded_rings",
     "dot": "dot",
 }

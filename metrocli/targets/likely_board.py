@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 
 from metrocli.arrays import Picture
+from metrocli.targets.aprilgrid import tags_in
 from metrocli.targets.charuco import markers_in
 from metrocli.targets.chessboard import shown_size
 from metrocli.targets.find import find
@@ -19,13 +20,16 @@ _SIDE = 1000
 """Chessboards are searched in images reduced to about this longer side, in pixels"""
 _SHARE = 0.5
 """A board is likely if more than this share of the images shows it"""
-_MARKERS = 6
-"""Fewest markers in an image of a ChArUco board"""
+_MARKERS, _TAGS = 6, 4
+"""Fewest markers in an image of a ChArUco board, and tags in one of an AprilTag grid"""
 
 
 def likely_board(pattern: Pattern, pictures: Iterable[Picture]) -> str:
     """Return the board that most pictures show and the keys to write for it; empty if none is likely."""
     reduced = [_reduced(picture) for picture in pictures]
+    if sum(len(tags_in(picture)[0]) >= _TAGS for picture in reduced) > _SHARE * len(reduced):
+        own = pattern.type == "aprilgrid"  # its search has named what does not fit
+        return "" if own else "AprilTags with a border of two cells: is it type: aprilgrid?"
     if pattern.type in ("circles", "asymmetric-circles") and (size := _likely_circles(pattern, reduced)):
         return _in_words(size, "")
     sizes = [size for picture in reduced if (size := shown_size(picture)) is not None]

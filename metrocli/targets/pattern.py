@@ -14,7 +14,9 @@ if TYPE_CHECKING:
     import numpy.typing as npt
 
 
-GRIDS = ("chessboard", "circles", "asymmetric-circles", "charuco")
+CORNERS = ("chessboard", "charuco", "aprilgrid")
+"""Types of board whose points are corners."""
+GRIDS = (*CORNERS, "circles", "asymmetric-circles")
 """Types whose points lie on one flat board, at known places."""
 TYPES = (*GRIDS, "coded-rings", "dot")
 """All types of pattern."""
@@ -33,13 +35,14 @@ class Pattern:
     type: str = setting(Choice(*TYPES), "kind of targets")
     columns: int | None = setting(
         Whole(minimum=2, maximum=99),
-        "points in a row of the board: inner corners of a chessboard or ChArUco board, circles of a grid",
+        "points in a row of the board: inner corners of a chessboard or ChArUco board, circles of a grid; tags of an "
+        "AprilTag grid",
         default=None,
     )
-    rows: int | None = setting(Whole(minimum=2, maximum=99), "rows of points of the board", default=None)
+    rows: int | None = setting(Whole(minimum=2, maximum=99), "rows of points of the board, or of tags", default=None)
     pitch: float | None = setting(
         WithUnit("length", positive=True),
-        "distance of neighbouring points; with asymmetric-circles, distance of neighbouring rows",
+        "distance of neighbouring points, or tags; with asymmetric-circles, distance of neighbouring rows",
         default=None,
     )
     diameter: float | None = setting(
@@ -50,7 +53,9 @@ class Pattern:
         "dark targets on a bright background, bright on dark, or both",
         default="either",
     )
-    marker_size: float | None = setting(WithUnit("length", positive=True), "side of a marker (charuco)", default=None)
+    marker_size: float | None = setting(
+        WithUnit("length", positive=True), "side of a marker (charuco) or of a tag with its border (aprilgrid)", None
+    )
     dictionary: str = setting(Choice(*DICTIONARIES), "ArUco dictionary of the markers (charuco)", default="4x4_50")
     legacy: bool = setting(
         Flag(),
@@ -66,22 +71,24 @@ class Pattern:
         for key in ("columns", "rows", "pitch"):
             if getattr(self, key) is None:
                 yield key, f"a pattern of type {self.type} needs {key}"
-        if self.type == "charuco":
+        if self.type in ("charuco", "aprilgrid"):
             if self.marker_size is None:
-                yield "marker_size", "a pattern of type charuco needs marker_size"
+                yield "marker_size", f"a pattern of type {self.type} needs marker_size"
             elif self.pitch is not None and self.marker_size >= self.pitch:
-                yield "marker_size", "the markers must be smaller than the squares (pitch)"
+                wider = "squares" if self.type == "charuco" else "distance of neighbouring tags"
+                yield "marker_size", f"the markers must be smaller than the {wider} (pitch)"
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Rows and columns of a board; raises ValueError if they are not given."""
+        """Rows and columns of the points of a board; raises ValueError if they are not given."""
         if self.rows is None or self.columns is None:
             raise ValueError(f"a pattern of type {self.type} has no rows and columns")
-        return self.rows, self.columns
+        corners = 2 if self.type == "aprilgrid" else 1
+        return corners * self.rows, corners * self.columns
 
 
 def lattice(pattern: Pattern) -> npt.NDArray[np.int64]:
-    """Return the points of a board in whole steps of the pitch, (n, 2) as (x, y), row by row."""
+    """Return the points of a board in whole steps from point to point, (n, 2) as (x, y), row by row."""
     import numpy as np
 
     rows, columns = pattern.shape
@@ -107,5 +114,9 @@ def pattern_points(pattern: Pattern) -> tuple[tuple[str, ...], Array]:
 
     if pattern.pitch is None:
         raise ValueError(f"a pattern of type {pattern.type} has no pitch")
-    flat = lattice(pattern) * float(pattern.pitch)
+    steps = lattice(pattern)
+    if pattern.type == "aprilgrid":
+        flat = steps // 2 * float(pattern.pitch) + steps % 2 * float(pattern.marker_size or 0.0)
+    else:
+        flat = steps * float(pattern.pitch)
     return names(pattern), np.column_stack([flat, np.zeros(len(flat))])

@@ -18,7 +18,6 @@ from metrocli.adjust.model.quantities import Quantity
 from metrocli.geometry import poses
 from metrocli.instruments import camera, spindle_camera
 from metrocli.instruments.frames import DistanceBetween, OutOf, PointOf
-from metrocli.instruments.lenses.lens import Lens
 
 Array = npt.NDArray[np.float64]
 NOISE = 0.1
@@ -173,7 +172,8 @@ def taper(seed: int = 51) -> Problem:
     measured = prior(truth, np.arange(len(CUBE)), sigma=np.full((len(CUBE), 3), 0.05))
     sigma = np.array([20.0, 5, 5, 0.05, 0.3, 1e-3, 1e-3, 2, 2, 5, 0.01, 0.01, 0.01])
     shape = replace(pose, values=poses.inverse(look(CUBE, 1, seed, tilt=70).poses))
-    joint = joint_prior([lens(), shape], [tuple(range(7)), tuple(range(6))], a_covariance(sigma, 8))
+    parts = [(block, np.zeros(k, dtype=np.intp), np.arange(k)) for block, k in ((lens(), 7), (shape, 6))]
+    joint = joint_prior(parts, a_covariance(sigma, 8))
     blocks = [problem.blocks[camera.LENS], pose, problem.blocks[camera.TARGET]]
     return Problem({b.name: b for b in blocks}, (group, measured, joint))
 
@@ -186,7 +186,7 @@ def part_in_machine() -> Problem:
     spindle = np.column_stack([rng.uniform(-300, 300, (9, 2)), np.full(9, 900.0), np.tile([np.pi, 0, 0], (9, 1))])
     spindle[:, 3:] += rng.normal(size=(9, 3)) * 0.3
     part = np.array([[10.0, 20.0, 30.0, 0.03, -0.02, 0.5]])
-    chain = Chain((*spindle_camera.to_camera(), Lens()))
+    chain = spindle_camera.chain("forward")
     points = np.array([[-300.0, -200, 0], [300, -200, 10], [300, 200, 0], [-300, 200, 50], [0, 0, 20]])
     blocks = {
         "target": camera.target_block(points, names("T", 5), False, 600.0),

@@ -68,7 +68,7 @@ def alignment(effect: Effect) -> Model:
     blocks = dict(zip(names, made, strict=True))
     view, target = np.repeat(np.arange(12), 6), np.tile(np.arange(6), 12)
     index = {"target": target, "spindle": view, "view": view}
-    group = _images(Chain((*spindle.to_camera(), camera.lens_link("forward"))), index, view)
+    group = _images(spindle.chain("forward"), index, view)
     return with_predicted(
         Model(blocks, (group,), None, ("images",), places_of(blocks["spindle"].members, blocks["target"].members))
     )

@@ -11,7 +11,7 @@ import pytest
 from metrocli.adjust.model import groups, quantities
 from metrocli.adjust.model.blocks import Block, Space
 from metrocli.adjust.model.chain import Chain, Link, LinkContext, Step, Varied
-from metrocli.adjust.model.groups import Group, ReadBlock, ReadBlocks
+from metrocli.adjust.model.groups import Group, ReadBlock
 from metrocli.adjust.model.observations import Observations
 from metrocli.adjust.model.quantities import Quantity
 from metrocli.arrays import Array
@@ -172,10 +172,6 @@ CASES: dict[str, Case] = {
     ),
     "ReadBlock": Case(reading(point_block(5), (0, 2)), (point_block(5),)),
     "ReadBlock, poses": Case(reading(pose_block("pose", 4), (1, 3, 4, 5)), (pose_block("pose", 4),)),
-    "ReadBlocks": Case(
-        ReadBlocks((reading(pose_block("pose", 1), (0, 1, 2, 3, 4, 5)), reading(lens_block(**ALL), (0, 2)))),
-        (pose_block("pose", 1), lens_block(**ALL)),
-    ),
     **{
         f"{kind.__name__}, {name}": Case(kind(), (lens_block(**values),))
         for kind in (Lens, LensBackward)
@@ -244,9 +240,9 @@ def test_the_table_has_every_link() -> None:
         for c in vars(module).values()
         if isinstance(c, type) and hasattr(c, "step") and hasattr(c, "gives") and c is not Link
     }
-    # a prior of members has a test of its own: its slots are the members, not the readings
+    # joint priors have tests of their own: their slots are the members, not the readings
     # links of the machine have tests of their own (test_model.py)
-    apart = {"PointOf", "ReadEntries", "ErrorMotion", "ReachedPoint"}
+    apart = {"PointOf", "ReadEntries", "ReadBlocks", "ErrorMotion", "ReachedPoint"}
     assert classes | {"Coupling"} <= {type(case.link).__name__ for case in CASES.values()} | apart
     assert {
         name for case in CASES.values() for block in case.blocks if block.name == "lens" for name in block.columns
@@ -471,3 +467,27 @@ def test_effects_that_cannot_act_are_refused_in_words(effect: Shifted) -> None:
 def test_quantities_are_told_apart() -> None:
     values = [quantity.value for quantity in quantities.Quantity]
     assert len(set(values)) == len(values)
+
+
+def test_a_joint_prior_of_lenses_and_poses_has_the_derivatives_of_its_differences() -> None:
+    rng = np.random.default_rng(62)
+    lenses, held = lens_blocks(**ONE_F, **CENTRE), pose_block("pose", 4)
+    parts = [(lenses, np.array([0, 2, 2]), np.array([0, 0, 1])), (held, np.repeat([1, 3], 6), np.tile(np.arange(6), 2))]
+    root = rng.normal(size=(15, 15))
+    group = groups.joint_prior(parts, root @ root.T + np.eye(15))
+    at = {block.name: block.moved(rng.normal(size=block.values.shape) * 0.1) for block in (lenses, held)}
+    linear = group.linear(at, frozenset(at))
+    entries = [at[block.name].space.difference(at[block.name].values, block.values)[m, c] for block, m, c in parts]
+    off = np.concatenate(entries)
+    assert np.isclose(linear.cost, off @ np.linalg.solve(root @ root.T + np.eye(15), off))
+    for touch in linear.touches:
+        block = at[touch.block]
+        for column in range(block.size):
+            step = np.zeros(block.values.shape)
+            step[touch.index[0], column] = 1.0
+
+            def whitened(size: float, block: Block = block, step: Array = step) -> Array:
+                moved = {**at, block.name: block.moved(size * step)}
+                return -group.linear(moved, frozenset()).residual[:, 0]
+
+            assert close(touch.jacobian[:, column, 0], differences(whitened, 1e-3), 1.0)

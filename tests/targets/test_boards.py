@@ -21,6 +21,7 @@ real = pytest.mark.skipif(not DATA.exists(), reason="../shared/data is not there
 CAMERA = Camera((640, 480), 533.0, -0.28)
 CHESS = Pattern("chessboard", 9, 6, 25.0)
 CHARUCO = Pattern("charuco", 8, 5, 25.0, marker_size=15.0)
+APRIL = Pattern("aprilgrid", 5, 4, 39.0, marker_size=30.0)
 CIRCLES = Pattern("circles", 10, 8, 20.0, diameter=10.0)
 SHIFTED = Pattern("asymmetric-circles", 4, 11, 16.0, diameter=12.0)
 
@@ -41,7 +42,7 @@ def test_every_type_has_its_module() -> None:
     assert set(MODULES) == set(TYPES)
 
 
-@pytest.mark.parametrize("pattern", [CHESS, CHARUCO])
+@pytest.mark.parametrize("pattern", [CHESS, CHARUCO, APRIL])
 def test_corners_rest_on_the_edges(pattern: Pattern) -> None:
     """Also pins the pixel convention: half a pixel would be 500 times the limit."""
     image, true = seen(pattern, np.random.default_rng(1), Look())
@@ -55,7 +56,7 @@ def test_corners_rest_on_the_edges(pattern: Pattern) -> None:
     assert abs((error * away).sum() / (away**2).sum()) * CAMERA.f < 0.005, "focal length would be off"
 
 
-@pytest.mark.parametrize("pattern", [CHESS, CHARUCO])
+@pytest.mark.parametrize("pattern", [CHESS, CHARUCO, APRIL])
 def test_corners_know_their_scatter(pattern: Pattern) -> None:
     image, true = seen(pattern, np.random.default_rng(2), Look(noise=3.0))
     found = find(pattern, image)
@@ -130,7 +131,7 @@ def test_wrong_orders_are_noticed() -> None:
     assert "flat board" in order_fault(steps, shifted)
 
 
-@pytest.mark.parametrize("pattern", [CHESS, CHARUCO, CIRCLES, SHIFTED])
+@pytest.mark.parametrize("pattern", [CHESS, CHARUCO, APRIL, CIRCLES, SHIFTED])
 def test_an_image_without_the_board(pattern: Pattern) -> None:
     noise = np.random.default_rng(7).integers(0, 256, (240, 320)).astype(np.uint8)
     for picture in (

@@ -170,6 +170,10 @@ class Chain:
             links = put
         return Chain(links)
 
+    def until(self, quantity: Quantity) -> Chain:
+        """Return the links that lead to a quantity, effects on it included."""
+        return Chain(self.links[: len(self.links) - self.quantities[::-1].index(quantity)])
+
     def takes(self, effect: Link) -> bool:
         """Return whether an effect can be inserted into the chain."""
         return _put(self.links, effect) is not None

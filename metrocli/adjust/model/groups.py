@@ -184,6 +184,7 @@ class ReadEntries(OfBlock):
     """For each entry its member, among those of the index, (k,)"""
     columns: Index
     """For each entry its column, (k,)"""
+    space: Space = Space.FLAT
     takes = None
     gives = Quantity.PARAMETERS
 
@@ -192,30 +193,14 @@ class ReadEntries(OfBlock):
         return index[self.slots, 0], self.columns
 
     def step(self, value: Array, local: LinkContext) -> Step:
-        """Return the differences (k, 1) and their derivatives by each member, (m, k, size, 1)."""
+        """Return the differences (k, 1) and their derivatives by a step of each member, (m, k, size, 1)."""
         chosen = local.index(self.block)[:, 0]
-        k = len(self.slots)
-        by_member = np.zeros((len(chosen), k, self.reference.shape[1], 1))
-        by_member[self.slots, np.arange(k), self.columns] = 1.0
-        difference = (local.members(self.block) - self.reference)[chosen[self.slots], self.columns]
+        values, reference = local.members(self.block)[chosen], self.reference[chosen]
+        by_member = np.zeros((len(chosen), len(self.slots), self.reference.shape[1], 1))
+        by_step = self.space.difference_by_step(values, reference)
+        by_member[self.slots, np.arange(len(self.slots)), :, 0] = by_step[self.slots, self.columns]
+        difference = self.space.difference(values, reference)[self.slots, self.columns]
         return Step(difference[:, None], by_block={self.block: by_member})
-
-
-def prior_of_entries(block: Block, members: Index, columns: Index, covariance: Array) -> Group:
-    """Return the joint prior of entries of a block: their present values with a covariance (k, k).
-
-    Entry i is `block[members[i], columns[i]]`. The block has no constraint between its columns (Space.FLAT).
-    """
-    used, slots = np.unique(members, return_inverse=True)
-    observations = Observations(
-        readings=np.zeros((len(covariance), 1)),
-        sigma=np.ones(1),
-        index={block.name: np.asarray(used, dtype=np.intp)[:, None]},
-        covariance=np.asarray(covariance, dtype=float)[:, :, None],
-        components=tuple(f"{block.members[i]} {block.columns[k]}" for i, k in zip(members, columns, strict=True)),
-    )
-    link = ReadEntries(block.name, block.values, slots, np.asarray(columns, dtype=np.intp))
-    return Group(f"prior of {block.name}", Chain((link,)), observations)
 
 
 def prior_of_members(block: Block, columns: tuple[int, ...], covariance: Array, members: Index) -> Group:
@@ -223,14 +208,14 @@ def prior_of_members(block: Block, columns: tuple[int, ...], covariance: Array, 
 
     Its rows run over the columns of the first member, then of the next.
     """
-    return prior_of_entries(block, np.repeat(members, len(columns)), np.tile(columns, len(members)), covariance)
+    return joint_prior([(block, np.repeat(members, len(columns)), np.tile(columns, len(members)))], covariance)
 
 
 @dataclass(frozen=True)
 class ReadBlocks:
-    """The forward model of a joint prior: several blocks read as one vector."""
+    """The forward model of a joint prior of several blocks, whose entries are read as one vector."""
 
-    parts: tuple[ReadBlock, ...]
+    parts: tuple[ReadEntries, ...]
     takes = None
     gives = Quantity.PARAMETERS
 
@@ -240,34 +225,39 @@ class ReadBlocks:
         return tuple(part.block for part in self.parts)
 
     def step(self, value: Array, local: LinkContext) -> Step:
-        """Return the differences of all parts, one after the other, (sum of columns, n), and their derivatives."""
+        """Return the differences of all parts, one after the other, (k, 1), and their derivatives."""
         steps = [part.step(value, local) for part in self.parts]
-        sizes = [len(step.value) for step in steps]
+        ends = np.cumsum([len(step.value) for step in steps]).tolist()
         by_block = {}
-        for i, (part, step) in enumerate(zip(self.parts, steps, strict=True)):
+        for part, step, end in zip(self.parts, steps, ends, strict=True):
             own = step.by_block[part.block]
-            full = np.zeros((sum(sizes), *own.shape[1:]))
-            full[sum(sizes[:i]) : sum(sizes[: i + 1])] = own
+            full = np.zeros((len(own), ends[-1], *own.shape[2:]))
+            full[:, end - own.shape[1] : end] = own
             by_block[part.block] = full
-        return Step(
-            np.concatenate(
-                [np.broadcast_to(step.value, (len(step.value), local.observations.count)) for step in steps]
-            ),
-            by_block=by_block,
-        )
+        return Step(np.concatenate([step.value for step in steps]), by_block=by_block)
 
 
-def joint_prior(blocks: Sequence[Block], columns: Sequence[tuple[int, ...]], covariance: Array) -> Group:
-    """Return the joint prior of several blocks of one member: their present values with a common covariance."""
-    parts = tuple(
-        ReadBlock(block.name, block.values, chosen, block.space) for block, chosen in zip(blocks, columns, strict=True)
-    )
-    size = len(covariance)
-    names = tuple(block.columns[i] for block, chosen in zip(blocks, columns, strict=True) for i in chosen)
+def joint_prior(parts: Sequence[tuple[Block, Index, Index]], covariance: Array) -> Group:
+    """Return the joint prior of entries of blocks: their present values with a common covariance (k, k).
+
+    A part is a block with the members and the columns of its entries: entry i is `block[members[i], columns[i]]`. The
+    covariance is that of steps of the entries, part by part.
+    """
+    links, index, names = list[ReadEntries](), dict[str, Index](), list[str]()
+    for block, members, columns in parts:
+        used, slots = np.unique(members, return_inverse=True)
+        links.append(ReadEntries(block.name, block.values, slots, np.asarray(columns, dtype=np.intp), block.space))
+        index[block.name] = np.asarray(used, dtype=np.intp)[:, None]
+        names += [f"{block.members[i]} {block.columns[k]}".strip() for i, k in zip(members, columns, strict=True)]
     observations = Observations(
-        np.zeros((size, 1)), np.ones(1), {}, np.asarray(covariance, dtype=float)[:, :, None], components=names
+        np.zeros((len(covariance), 1)),
+        np.ones(1),
+        index,
+        covariance=np.asarray(covariance, dtype=float)[:, :, None],
+        components=tuple(names),
     )
-    return Group("prior of " + ", ".join(block.name for block in blocks), Chain((ReadBlocks(parts),)), observations)
+    link = links[0] if len(links) == 1 else ReadBlocks(tuple(links))
+    return Group("prior of " + ", ".join(block.name for block, _, _ in parts), Chain((link,)), observations)
 
 
 def listed_values(blocks: Mapping[str, Block], groups: Iterable[Group]) -> Mapping[str, Block]:

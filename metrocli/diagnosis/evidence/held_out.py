@@ -57,7 +57,7 @@ class Model:
 
 
 def folds_of(m: Measurement) -> Index:
-    """Return the number of the fold of each row, (rows,): -1 for priors, but those of a member are held out with it."""
+    """Return the number of the fold of each row, (rows,): -1 for priors but those of a random effect of a member."""
     rows = np.full(m.system.rows, -1, dtype=np.intp)
     for group in m.job.model.readings:
         fold = m.system.spread(group, m.job.folds[group.name].astype(float) + 1)
@@ -67,7 +67,11 @@ def folds_of(m: Measurement) -> Index:
     read = (rows >= 0) & (member >= 0)
     own[member[read]] = rows[read]
     own[member[read][own[member[read]] != rows[read]]] = -1
-    return np.where(rows < 0, own[member], rows)
+    random = {f"prior of {added.block}" for added in m.job.model.added if added.std}
+    for group in (group for group in m.job.model.groups if group.name in random):
+        at = m.system.rows_of(group)
+        rows[at] = own[member[at]]
+    return rows
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,8 @@ from metrocli.adjust.model.quantities import Quantity
 from metrocli.arrays import Array, Index
 from metrocli.frozen import dataclass
 
+SHAPE = "lens-shape"
+"""Block of the shape of a lens"""
 _REACH = 4
 """Knots on which a cubic spline depends at one place"""
 _ROUNDS = 40
@@ -49,17 +51,32 @@ class Knots:
         np.put_along_axis(found, place, weight, axis=1)
         return found
 
-    def shift(self, coefficients: Array, uv: Array) -> Array:
-        """Return the shift (2, n) [px] at image points (2, n) of coefficients (2, counts)."""
-        moved: Array = coefficients @ self.basis(uv).T
+
+@dataclass(frozen=True)
+class KnownShape:
+    """A shift of image points with known coefficients."""
+
+    knots: Knots
+    coefficients: Array
+    """Of u and of v, (2, counts) px"""
+
+    def at(self, uv: Array) -> Array:
+        """Return the shift (2, n) px of image points (2, n) of the base lens."""
+        moved: Array = self.coefficients @ self.knots.basis(uv).T
         return moved
 
-    def unshifted(self, coefficients: Array, uv: Array) -> Array:
-        """Return the image points (2, n) of the base lens that are shifted to (2, n)."""
-        found = uv
-        for _ in range(_ROUNDS):
-            found = uv - self.shift(coefficients, found)
-        return found
+
+def shifted(uv: Array, shape: KnownShape | None) -> Array:
+    """Return where image points (2, n) of the base lens are; None: there is no shift."""
+    return uv if shape is None else uv + shape.at(uv)
+
+
+def unshifted(uv: Array, shape: KnownShape | None) -> Array:
+    """Return the image points (2, n) of the base lens that are shifted to (2, n); None: there is no shift."""
+    found = uv
+    for _ in range(0 if shape is None else _ROUNDS):
+        found = uv + found - shifted(found, shape)
+    return found
 
 
 def _along(extent: int, count: int, x: Array, slope: bool) -> tuple[Index, Array]:
@@ -86,7 +103,7 @@ class LensShape:
     knots: Knots
     to_coefficients: Array
     """N (coefficients, size)"""
-    block: str = "lens-shape"
+    block: str = SHAPE
     takes = gives = Quantity.IMAGE_POINT
 
     @property

@@ -9,7 +9,7 @@ import numpy as np
 
 from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.chain import Chain
-from metrocli.adjust.model.groups import Group, prior, prior_of_entries, priors
+from metrocli.adjust.model.groups import Group, joint_prior, prior, priors
 from metrocli.adjust.model.observations import Observations
 from metrocli.arrays import Array, Index
 from metrocli.effects.links.stations import BEGUN, IN_ORDER
@@ -214,7 +214,7 @@ def given(readings: NetworkReadings, blocks: Mapping[str, Block]) -> Iterator[Gr
         free = block.free[member, column]
         if free.any():
             joint = points.covariance[np.ix_(free, free)]
-            group = prior_of_entries(listed, member[free], column[free], joint)
+            group = joint_prior([(listed, member[free], column[free])], joint)
             yield _of_list(replace(group, name=GIVEN_POINTS), np.unique(member[free]), block)
         sigma[member, column] = np.nan
     for axis in range(3):

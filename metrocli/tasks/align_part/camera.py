@@ -1,58 +1,143 @@
-"""A calibrated camera as input of an alignment: lens parameters, pose in the taper, and their joint covariance."""
+"""A calibrated camera, or several, as input of an alignment: lens, pose in the taper, and their joint covariance."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from metrocli.adjust.model.blocks import Block, Space
+from metrocli.adjust.model.chain import Chain
 from metrocli.adjust.model.groups import Group, joint_prior
 from metrocli.arrays import Array
-from metrocli.errors import InputError
+from metrocli.effects.links.lens_shape import SHAPE, LensShape
+from metrocli.errors import Fault, InputError
 from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.imageset import ImageSet
-from metrocli.instruments.camera import LENS, TAPER
+from metrocli.instruments import spindle_camera as spindle
+from metrocli.instruments.camera import LENS, MOUNT, TAPER, mount_block
 from metrocli.instruments.lenses.lens import PARAMETERS
 from metrocli.result import Result
+from metrocli.tasks.shared.images.calibrated import DIRECTIONS, SHAPE_COVARIANCE, StatedCamera, stated_cameras
+from metrocli.tasks.shared.images.exposures import Exposures, exposures
 from metrocli.tasks.shared.images.settings import CameraFile, OfCameraFile
+from metrocli.words import in_a_row
+
+_UNNAMED = 'the calibration does not state which images {} take: write `cameras: {{{}: "NAME*.png", ...}}`'
 
 
 @dataclass(frozen=True)
 class CameraModel:
-    """A calibrated camera in a taper."""
+    """A calibrated camera in a taper, or several that are fixed to each other, of which the first is in the taper."""
 
-    lens: Mapping[str, float]
+    cameras: tuple[StatedCamera, ...]
     taper: Array
-    """Pose of the camera in the taper (6,)"""
-    image_size: tuple[int, int]
-    convention: str
-    estimated: tuple[str, ...] = ()
-    """Lens parameters in the covariance; x y z alpha beta gamma follow them if `placed`"""
+    """Pose of the camera, or of the first, in the taper (6,)"""
+    entries: tuple[tuple[str, str], ...] = ()
+    """Camera and estimate (lens parameter, or x y z alpha beta gamma) of each row of the covariance"""
     covariance: Array | None = None
     """None: the camera is exact"""
-    placed: bool = True
-    """Whether the covariance has the pose in the taper"""
+    directions: Array | None = None
+    """D (coefficients, k) of what is not known of the shape of a lens, `D w`; None without a shape"""
     warnings: tuple[str, ...] = ()
 
-    def must_fit(self, images: ImageSet) -> None:
-        """Raise InputError if the images do not have the size with which the camera was calibrated."""
-        if tuple(images.size) != self.image_size:
-            w, h = images.size
-            raise InputError(
-                f"the images are {w} x {h} px, "
-                f"the camera was calibrated with {self.image_size[0]} x {self.image_size[1]} px"
-            )
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the cameras; that of a single one is empty."""
+        return tuple(camera.name for camera in self.cameras)
 
-    def blocks(self) -> tuple[Block, Block]:
-        """Return the blocks of lens and taper; free if the calibration gives their covariance, else fixed."""
-        known = self.covariance is not None
-        held = {"k1": 0.0, **self.lens}  # the effect radial-distortion needs k1, even if the calibration has none
-        columns, values = tuple(held), np.array([list(held.values())])
-        lens = Block(LENS, values, columns, free=np.isin(columns, self.estimated) if known else np.array(False))
-        free = np.array(known and self.placed)
-        return lens, Block(TAPER, self.taper[None], poses.COLUMNS, free=free, space=Space.POSE)
+    @property
+    def convention(self) -> str:
+        """The convention of all lenses."""
+        return self.cameras[0].convention
+
+    @property
+    def several(self) -> bool:
+        """Whether several cameras are fixed to each other."""
+        return len(self.cameras) > 1
+
+    @property
+    def sizes(self) -> Array:
+        """Width and height [px] of the images of each camera, (cameras, 2)."""
+        return np.array([camera.size for camera in self.cameras], dtype=float)
+
+    @property
+    def mounts(self) -> Array:
+        """The pose of each camera in the frame of the first, (cameras, 6)."""
+        return np.stack([np.zeros(6) if camera.pose is None else camera.pose for camera in self.cameras])
+
+    @property
+    def in_taper(self) -> Array:
+        """The pose of each camera in the taper, (cameras, 6)."""
+        return np.stack([self.taper, *(poses.compose(self.taper, mount) for mount in self.mounts[1:])])
+
+    @property
+    def images(self) -> dict[str, str]:
+        """The names of the images of each camera, with one *."""
+        return {camera.name: camera.images for camera in self.cameras}
+
+    def exposed(self, images: Sequence[str]) -> Exposures:
+        """Return the camera and the exposure of each image; raises InputError for images of no camera or of two."""
+        return exposures(self.images, images)
+
+    def with_images(self, images: Mapping[str, str] | None) -> CameraModel:
+        """Return the model with these names of images, by camera; cameras that are not named take none.
+
+        Raises InputError for a camera that is not known, and if nothing states the names.
+        """
+        if images is None:
+            if not any(self.images.values()):
+                raise InputError(_UNNAMED.format(in_a_row(self.names), self.names[0]))
+            return self
+        if not self.several:
+            raise InputError("cameras: the calibration is of a single camera, which took all images: leave it out")
+        if strange := [name for name in images if name not in self.names]:
+            message = f"cameras: the calibration has no {in_a_row(strange)}"
+            raise InputError([Fault(message, hint=f"it has {in_a_row(self.names)}")])
+        named = tuple(replace(camera, images=images.get(camera.name, "")) for camera in self.cameras)
+        return replace(self, cameras=named)
+
+    def must_fit(self, images: ImageSet) -> None:
+        """Raise InputError if the images do not have the size with which their camera was calibrated."""
+        exposed = self.exposed(images.names)
+        for camera in self.cameras:
+            if tuple(images.size) != tuple(camera.size) and camera.name not in exposed.unused:
+                (width, height), (w, h) = images.size, camera.size
+                of = f"the camera {camera.name}".rstrip()
+                raise InputError(f"the images are {width} x {height} px, {of} was calibrated with {w} x {h} px")
+
+    def blocks(self) -> dict[str, Block]:
+        """Return the blocks of lens, taper and, for several, mount; free if the calibration gives their covariance."""
+        named = {name for camera in self.cameras for name in camera.lens}
+        # the effect radial-distortion needs k1, even if the calibration has none
+        columns = tuple(name for name in PARAMETERS if name in named or name == "k1")
+        values = np.array([[camera.lens.get(name, 0.0) for name in columns] for camera in self.cameras])
+        free = np.array([[(camera, name) in self.entries for name in columns] for camera in self.names])
+        placed = np.array((self.names[0], "x") in self.entries)
+        made = [
+            Block(LENS, values, columns, self.names, free, noun="camera"),
+            Block(TAPER, self.taper[None], poses.COLUMNS, free=placed, space=Space.POSE),
+            *([mount_block(self.mounts, self.names, np.inf)] if self.several else []),
+        ]
+        return {block.name: block for block in (*made, *self._shape_block())}
+
+    def _shape_block(self) -> list[Block]:
+        """Return the block of the shape of a lens: the shift that is known, once, and what is not known of it."""
+        if self.directions is None:
+            return []
+        values = np.eye(1, 1 + self.directions.shape[1])
+        columns = ("known", *(f"w{k}" for k in range(1, values.shape[1])))
+        return [Block(SHAPE, values, columns, free=values == 0)]
+
+    def chain(self, spread: Array | None = None) -> Chain:
+        """Return the forward model of an image point; `spread` as for `spindle_camera.chain`."""
+        whole = spindle.chain(self.convention, self.several, spread)
+        shape = self.cameras[0].shape
+        if shape is None or self.directions is None:
+            return whole
+        return whole.spliced([LensShape(shape.knots, np.column_stack([shape.coefficients.ravel(), self.directions]))])
 
     def prior(self) -> list[Group]:
         """Return the calibration as a correlated observation, so that its covariance enters the adjustment.
@@ -61,15 +146,28 @@ class CameraModel:
         """
         if self.covariance is None:
             return []
-        lens, taper = self.blocks()
-        k = len(self.estimated)
-        to_step = np.eye(len(self.covariance))
-        parts = [(lens, tuple(lens.columns.index(name) for name in self.estimated))]
-        if self.placed:
-            to_step[k:, k:] = np.linalg.inv(poses.euler_form_by_step(self.taper))
-            parts.append((taper, tuple(range(6))))
-        blocks, columns = zip(*((block, chosen) for block, chosen in parts if chosen), strict=True)
-        return [joint_prior(blocks, columns, to_step @ self.covariance @ to_step.T)]
+        blocks, to_step = self.blocks(), np.eye(len(self.covariance))
+        for name, pose in zip(self.names, [self.taper, *self.mounts[1:]], strict=True):
+            at = [i for i, (of, entry) in enumerate(self.entries) if of == name and entry in poses.EULER]
+            if at:
+                to_step[np.ix_(at, at)] = np.linalg.inv(poses.euler_form_by_step(pose))
+        placed = [self._place(blocks, *entry) for entry in self.entries]
+        rows = [[i for i, (block, _, _) in enumerate(placed) if block == name] for name in blocks]
+        order = [i for of_block in rows for i in of_block]
+        parts = [
+            (blocks[name], np.array([placed[i][1] for i in chosen]), np.array([placed[i][2] for i in chosen]))
+            for name, chosen in zip(blocks, rows, strict=True)
+            if chosen
+        ]
+        return [joint_prior(parts, (to_step @ self.covariance @ to_step.T)[np.ix_(order, order)])]
+
+    def _place(self, blocks: Mapping[str, Block], camera: str, name: str) -> tuple[str, int, int]:
+        """Return block, member and column of an entry."""
+        number = self.names.index(camera)
+        if name in poses.EULER:
+            return MOUNT if number else TAPER, number, poses.EULER.index(name)
+        block = LENS if name in blocks[LENS].columns else SHAPE
+        return block, number, blocks[block].column(name)
 
 
 def camera_of(source: Result | CameraFile, more: OfCameraFile | None = None) -> CameraModel:
@@ -104,49 +202,38 @@ def camera_of_file(file: CameraFile, more: OfCameraFile) -> CameraModel:
         "camera: {uncertainty: {f: 1 px, ...}} gives its standard uncertainties",
     )
     return CameraModel(
-        lens,
+        (StatedCamera("", lens, file.convention, file.image_size),),
         taper,
-        file.image_size,
-        file.convention,
-        tuple(name for name in lens if name in std),
+        tuple(("", name) for name in (*lens, *poses.EULER) if name in std),
         np.diag(ordered) ** 2 if ordered else None,
-        "x" in std,
-        exact if file.program and not ordered else (),
+        warnings=exact if file.program and not ordered else (),
     )
 
 
 def camera_of_result(result: Result) -> CameraModel:
-    """Return the camera of a calibration result, with its covariance; raises InputError unless its rig is cmm."""
+    """Return the camera of a calibration result, or its cameras, with their covariance.
+
+    Raises InputError unless its rig is cmm, and for a lens whose shape has no covariance.
+    """
     if result.statistics.get("rig") != "cmm":
         raise InputError(
             f"the camera was calibrated with rig {result.statistics.get('rig')}; "
             "only rig cmm determines its place in the taper"
         )
-    if "cameras" in result.tables:
-        raise InputError("align-part reads a single camera: calibrate the one in the spindle with `camera:`")
-    if "lens_shape" in result.tables:
-        raise InputError(
-            "align-part reads no camera of the model spline: calibrate it with the model opencv or fisheye"
-        )
-    table = result.tables["camera"]
-    lens = dict(zip(table.texts("parameter"), table.numbers("value").tolist(), strict=True))
-    values = {estimate.name: estimate.value for estimate in result.estimates}
-    at = np.array([values[name] for name in poses.EULER])
-    size = (int(_number(result, "image_width")), int(_number(result, "image_height")))
-    estimated = tuple(name for name in values if name in lens)
-    delivered = len(estimated) + len(poses.EULER)
-    return CameraModel(
-        lens,
-        poses.pose_from_euler(at[:3], at[3:]),
-        size,
-        str(result.statistics["convention"]),
-        estimated,
-        result.covariance[:delivered, :delivered],
-    )
-
-
-def _number(result: Result, name: str) -> float:
-    value = result.statistics[name]
-    if isinstance(value, (int, float)):
-        return float(value)
-    raise InputError(f"the camera result has no number '{name}' among its statistics")
+    estimated = {estimate.name: (row, estimate.value) for row, estimate in enumerate(result.estimates)}
+    cameras, entries, rows = tuple(stated_cameras(result)), list[tuple[str, str]](), list[int]()
+    first, *_ = prefixes = [f"{camera.name}." if camera.name else "" for camera in cameras]
+    for camera, prefix in zip(cameras, prefixes, strict=True):
+        known = [key for key in (*camera.lens, *poses.EULER) if prefix + key in estimated]
+        entries += [(camera.name, key) for key in known]
+        rows += [estimated[prefix + key][0] for key in known]
+    at, covariance = np.array([estimated[first + key][1] for key in poses.EULER]), result.covariance
+    directions = result.arrays.get(DIRECTIONS)
+    if directions is None and any(camera.shape is not None for camera in cameras):
+        raise InputError("the result does not state how uncertain the shape of the lens is: calibrate the camera anew")
+    if directions is not None:
+        covariance, shape = result.arrays[SHAPE_COVARIANCE], range(directions.shape[1])
+        entries += [("", f"w{k + 1}") for k in shape]
+        rows += [len(covariance) - len(shape) + k for k in shape]
+    taper = poses.pose_from_euler(at[:3], at[3:])
+    return CameraModel(cameras, taper, tuple(entries), covariance[np.ix_(rows, rows)], directions)

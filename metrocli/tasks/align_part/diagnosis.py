@@ -7,12 +7,13 @@ from collections.abc import Iterator
 import numpy as np
 
 from metrocli import units
+from metrocli.adjust.model.quantities import Quantity
 from metrocli.diagnosis.adjusted_job import AdjustedJob, Delivered
 from metrocli.effects.covariates import Covariate
 from metrocli.effects.model import Model
 from metrocli.geometry import poses
 from metrocli.instruments import spindle_camera as spindle
-from metrocli.instruments.camera import LENS, TAPER, TARGET
+from metrocli.instruments.camera import LENS
 from metrocli.table import Table
 from metrocli.tasks.align_part import KIND
 from metrocli.tasks.align_part.effects import EFFECTS
@@ -30,6 +31,9 @@ from metrocli.tasks.shared.images.covariates import (
 )
 from metrocli.tasks.shared.images.eccentricity import diameters
 from metrocli.tasks.shared.uncontrolled import SCALE, SCALE_WORDS, Hidden, table_of
+
+_OF_ONE = ("focal-change", "principal-point-shift", "radial-distortion", "rolling-shutter")
+_ALONE = "it is sought in the images of one camera: leave out those of the others"
 
 
 def adjusted_job(problem: AlignmentProblem, adjusted: AdjustedImages) -> AdjustedJob:
@@ -50,6 +54,7 @@ def adjusted_job(problem: AlignmentProblem, adjusted: AdjustedImages) -> Adjuste
         single_components=True,
         sharing=len(np.unique(index["view"])),
         made_together=("image",),
+        not_sought=dict.fromkeys(_OF_ONE, _ALONE) if len(np.unique(index.get(LENS, 0))) > 1 else {},
     )
 
 
@@ -113,11 +118,8 @@ def _rows(problem: AlignmentProblem, adjusted: AdjustedImages) -> Iterator[Hidde
         "a target of known place in the machine",
     )
     if not blocks[LENS].free.any():
-        lens, index = blocks[LENS].named(), adjusted.group.observations.index
-        angle = float(blocks[spindle.COUPLING].values[0, 0])
-        held = blocks[spindle.SPINDLE].values[index[spindle.SPINDLE]]
-        to_camera = spindle.part_in_camera(blocks[spindle.PART].values[0], held, angle, blocks[TAPER].values[0])
-        depth = poses.apply(to_camera, blocks[TARGET].values[index[TARGET]])[:, 2]
+        lens, group = blocks[LENS].named(), adjusted.group
+        depth = group.chain.until(Quantity.POINT_IN_CAMERA).predict(blocks, group.observations)[2]
         yield Hidden(
             "cx and cy of the camera file, taken as exact, or its image_size (the part across the view)",
             "1 px",

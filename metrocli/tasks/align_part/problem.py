@@ -1,4 +1,4 @@
-"""The adjustment of a part's alignment: from camera, spindle poses and sightings to blocks with starting values."""
+"""The adjustment of a part's alignment: from cameras, spindle poses and sightings to blocks with starting values."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from dataclasses import field, replace
 
 import numpy as np
 
-from metrocli.adjust.model.chain import Chain
 from metrocli.adjust.model.groups import Group
+from metrocli.adjust.model.observations import Observations
 from metrocli.arrays import Array, Index
 from metrocli.effects.extension import with_known_effect
 from metrocli.effects.model import Model, Place
@@ -17,20 +17,20 @@ from metrocli.errors import Fault, InputError
 from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.instruments import spindle_camera as spindle
-from metrocli.instruments.camera import TARGET, lens_link, list_datum, target_block
-from metrocli.instruments.lenses.lens import direction
-from metrocli.table import Table
+from metrocli.instruments.camera import TARGET, list_datum, target_block
 from metrocli.tasks.align_part.camera import CameraModel
 from metrocli.tasks.align_part.effects import EFFECTS, EXPANSION
 from metrocli.tasks.align_part.fitted_targets import TargetList
 from metrocli.tasks.align_part.spindle_poses import SpindlePoses, note_of
 from metrocli.tasks.shared.images.adjustment import IMAGES
 from metrocli.tasks.shared.images.eccentricity import corrected
+from metrocli.tasks.shared.images.exposures import Exposures
 from metrocli.tasks.shared.images.sightings import Sighted, check_inside, placed
-from metrocli.tasks.shared.images.simulation import ExactImagePoints, SimulatedCamera, image_group
+from metrocli.tasks.shared.images.simulation import ExactImagePoints, SimulatedCamera, all_images, image_group
 from metrocli.tasks.shared.images.target_list import images_needed
 from metrocli.tasks.shared.joint_covariance import JointInput
 from metrocli.tasks.shared.part import Part
+from metrocli.words import in_a_row
 
 _ANGLES = np.linspace(-np.pi, np.pi, 12, endpoint=False)
 """Clamping angles [rad] to start from, if the start at 0 fails"""
@@ -69,10 +69,13 @@ class AlignmentProblem(Modelled):
         return bool(self.blocks[spindle.COUPLING].free.any())
 
 
-def places_of(images: Sequence[str], targets: Sequence[str]) -> dict[str, Place]:
-    """Return the places where effects can act: images, targets, axes and pairs of axes of the machine."""
+def places_of(exposures: Sequence[str], targets: Sequence[str]) -> dict[str, Place]:
+    """Return the places where effects can act: exposures, targets, axes and pairs of axes of the machine.
+
+    Those of a single camera are its images.
+    """
     return {
-        "image": Place(tuple(images), "view"),
+        "image": Place(tuple(exposures), "view"),
         "target": Place(tuple(targets), TARGET),
         "axis": Place(("x", "y", "z")),
         "pair": Place(("xy", "xz", "yz")),
@@ -87,36 +90,30 @@ def build(
     Raises InputError if readings do not fit the image size, if an image has no spindle pose, or if the machine's result
     does not give the errors there.
     """
-    sighted = check_inside(sighted, camera.image_size)
+    exposed = camera.exposed(sighted.images)
+    sighted = check_inside(sighted, camera.sizes[exposed.camera[sighted.view]].T)
     sighted = placed(sighted, images_needed(sighted.targets))
-    rows, warnings, sighted = _with_poses(sighted, commanded.commanded)
+    rows, warnings, sighted = _with_poses(sighted, exposed, commanded, camera.images)
     motion = commanded.motion(rows)
     held = commanded.moved(rows, motion.mean)
     targets = sighted.targets
     seen = np.bincount(sighted.target, minlength=len(targets.names)) > 0
-    pose, angle = _start(camera, sighted, held, free_angle)
+    pose, angle = _start(camera, sighted, exposed, held, free_angle)
     extent = float(np.ptp(targets.points[seen], axis=0).max())
     free = (targets.sigma != 0) & seen[:, None]
     distance = float(
         np.linalg.norm(held[:, :3] - (poses.apply(pose, targets.points[seen].mean(axis=0))), axis=1).mean()
     )
-    lens, taper = camera.blocks()
-    blocks = {
-        block.name: block
-        for block in (
-            spindle.part_block(pose, extent, distance),
-            spindle.coupling_block(angle, free_angle),
-            lens,
-            taper,
-            target_block(targets.points, targets.names, free, max(extent, 1.0)),
-            spindle.spindle_block(held, sighted.images),
-            *spindle.machine_blocks(motion.spread),
-        )
-    }
-    observations = replace(
-        sighted.observations, index={TARGET: sighted.target, spindle.SPINDLE: sighted.view, "view": sighted.view}
+    made = (
+        spindle.part_block(pose, extent, distance),
+        spindle.coupling_block(angle, free_angle),
+        *camera.blocks().values(),
+        target_block(targets.points, targets.names, free, max(extent, 1.0)),
+        spindle.spindle_block(held, exposed.names),
+        *spindle.machine_blocks(motion.spread),
     )
-    group = Group(IMAGES, Chain((*spindle.to_camera(motion.spread), lens_link(camera.convention))), observations)
+    blocks = {block.name: block for block in made}
+    group = Group(IMAGES, camera.chain(motion.spread), _of_exposures(exposed, sighted.observations))
     others: tuple[Group, ...] = (
         *camera.prior(),
         *listed.priors(blocks[TARGET], targets.sigma, free),
@@ -126,7 +123,7 @@ def build(
     datum = list_datum(blocks[TARGET], takes_part, spindle.PART, scale=False) if free.any() else None
     if sighted.eccentric:
         group, blocks = corrected(group, blocks, others, datum, targets.radius)
-    places = places_of(sighted.images, targets.names)
+    places = places_of(exposed.names, targets.names)
     nominal = {TARGET: targets.points}
     model = Model(blocks, (group, *others), datum, (IMAGES,), places, nominal=nominal)
     notes = () if commanded.machine is None else (note_of(motion),)
@@ -135,35 +132,48 @@ def build(
     return AlignmentProblem(model, camera, sighted, told, notes=notes, sources=sources)
 
 
-def _with_poses(sighted: Sighted, table: Table) -> tuple[Index, tuple[str, ...], Sighted]:
-    """Return the row of each image's pose, warnings, and the sightings with time and temperature of the poses."""
-    place = {name: row for row, name in enumerate(table.texts("image"))}
-    missing = [name for name in sighted.images if name not in place]
+def _of_exposures(exposed: Exposures, observations: Observations) -> Observations:
+    """Return readings of images with their exposure, at which the spindle has one pose for all cameras."""
+    observations = exposed.readings(observations)
+    return replace(observations, index={**observations.index, spindle.SPINDLE: observations.index["view"]})
+
+
+def _with_poses(
+    sighted: Sighted, exposed: Exposures, commanded: SpindlePoses, cameras: Mapping[str, str]
+) -> tuple[Index, tuple[str, ...], Sighted]:
+    """Return the row of each exposure's pose, warnings, and the sightings with time and temperature of the poses."""
+    table, place = commanded.commanded, commanded.rows(cameras)
+    missing = [number for number, name in enumerate(exposed.names) if name not in place]
     if missing:
-        raise InputError(
-            [
-                Fault(f"there is no pose for image '{name}'", table.file, hint="add a row with its spindle position")
-                for name in missing
-            ]
-        )
-    rows = np.array([place[name] for name in sighted.images], dtype=np.intp)
-    unused = [name for name in place if name not in set(sighted.images)]
-    warnings = (f"{len(unused)} poses have no sighting: {', '.join(unused[:8])}",) if unused else ()
-    of_poses = {name: values[rows][sighted.view] for name, values in table.conditions("t", "temp").items()}
+        images = [sighted.images[int(np.argmax(exposed.exposure == number))] for number in missing]
+        hint = "add a row with its spindle position"
+        raise InputError([Fault(f"there is no pose for image '{name}'", table.file, hint=hint) for name in images])
+    rows = np.array([place[name] for name in exposed.names], dtype=np.intp)
+    unused = [name for name in place if name not in set(exposed.names)]
+    warnings = [f"{len(unused)} poses have no sighting: {', '.join(unused[:8])}"] if unused else []
+    warnings += [f"no image is that of {in_a_row(exposed.unused)}"] if exposed.unused else []
+    of_reading = rows[exposed.exposure[sighted.view]]
+    of_poses = {name: values[of_reading] for name, values in table.conditions("t", "temp").items()}
     conditions = {**of_poses, **sighted.observations.conditions}
     observations = replace(sighted.observations, conditions=conditions)
-    return rows, warnings, replace(sighted, observations=observations)
+    return rows, tuple(warnings), replace(sighted, observations=observations)
 
 
-def _start(camera: CameraModel, sighted: Sighted, held: Array, free_angle: bool) -> tuple[Array, float]:
+def _start(
+    camera: CameraModel, sighted: Sighted, exposed: Exposures, held: Array, free_angle: bool
+) -> tuple[Array, float]:
     """Return the starting pose of the part and the starting clamping angle: 0, or the best of twelve if 0 fails."""
-    uv = sighted.observations.readings
-    seen = direction(camera.lens, uv[0], uv[1], camera.convention)
+    uv, of = sighted.observations.readings, exposed.camera[sighted.view]
+    seen = np.full((3, uv.shape[1]), np.nan)
+    for number, one in enumerate(camera.cameras):
+        mine = of == number
+        seen[:, mine] = one.direction(uv[:, mine])
     seen = np.where(np.isfinite(seen[0]), seen, [[0.0], [0.0], [1.0]])
     points = sighted.targets.points[sighted.target]
+    at, in_taper = held[exposed.exposure[sighted.view]], camera.in_taper[of]
 
     def tried(angle: float) -> tuple[Array, float]:
-        return spindle.start_pose(spindle.rays(held[sighted.view], camera.taper, angle, seen, points))
+        return spindle.start_pose(spindle.rays(at, in_taper, angle, seen, points))
 
     best, misfit = tried(0.0)
     chosen = 0.0
@@ -181,27 +191,29 @@ class AlignmentTruth:
 
     part: Array
     """Pose of the part in the machine (6,)"""
-    held: Array
-    """Poses of the spindle (images, 6)"""
+    held: Mapping[str, Array]
+    """Pose of the spindle (6,) at each exposure"""
     angle: float
     """Clamping angle [rad]"""
 
 
-def true_model(camera: CameraModel, shown: SimulatedCamera, seen: ExactImagePoints, truth: AlignmentTruth) -> Model:
+def true_model(
+    camera: CameraModel, shown: Sequence[SimulatedCamera], seen: ExactImagePoints, truth: AlignmentTruth
+) -> Model:
     """Return the model of the alignment at the truth, with the exact image points as readings.
 
     Effects are planted in this model.
     """
-    lens, taper = (block.fixed() for block in camera.blocks())
+    exposed = camera.exposed(all_images(shown))
     made = (
         spindle.part_block(truth.part, 1.0, 1.0),
         spindle.coupling_block(truth.angle, free=False),
-        lens,
-        taper,
-        target_block(shown.targets.points, shown.targets.names, False, 1.0),
-        spindle.spindle_block(truth.held, shown.images),
+        target_block(shown[0].targets.points, shown[0].targets.names, False, 1.0),
+        spindle.spindle_block(np.array([truth.held[name] for name in exposed.names]), exposed.names),
     )
-    group = image_group(shown, seen, Chain((*spindle.to_camera(), lens_link(camera.convention))), spindle.SPINDLE)
-    places = places_of(shown.images, shown.targets.names)
-    blocks = {block.name: block for block in made}
-    return Model(blocks, (group,), None, (IMAGES,), places, nominal={TARGET: shown.targets.points})
+    blocks = {name: block.fixed() for name, block in camera.blocks().items()}
+    blocks |= {block.name: block for block in made}
+    group = image_group(shown, seen, camera.chain())
+    group = group.with_observations(_of_exposures(exposed, group.observations))
+    places = places_of(exposed.names, shown[0].targets.names)
+    return Model(blocks, (group,), None, (IMAGES,), places, nominal={TARGET: shown[0].targets.points})

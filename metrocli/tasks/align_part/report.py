@@ -28,6 +28,7 @@ from metrocli.tasks.align_part.problem import AlignmentProblem
 from metrocli.tasks.align_part.settings import Files
 from metrocli.tasks.shared.images.adjustment import AdjustedImages
 from metrocli.tasks.shared.images.camera_parameters import HIGH, Parameters, with_effects
+from metrocli.tasks.shared.images.exposures import IMAGE
 from metrocli.tasks.shared.images.tables import adjustment_notes, image_statistics, image_tables, image_warnings
 from metrocli.tasks.shared.joint_covariance import owed
 from metrocli.tasks.shared.statistics import Statistics, noise_notes, noise_warnings
@@ -126,7 +127,7 @@ def _tables(
     problem: AlignmentProblem, adjusted: AdjustedImages, residuals: Residuals
 ) -> tuple[dict[str, Table], dict[str, Array]]:
     """Return the tables of readings, views and targets, of effects, and of what is owed."""
-    tables = image_tables(adjusted, residuals, problem.sighted, "view")
+    tables = image_tables(adjusted, residuals, problem.sighted, IMAGE)
     tables["targets"] = _targets(adjusted, tables["targets"])
     effect_tables, effect_arrays = effect_results(problem.effects, adjusted.solution)
     owed_tables, owed_arrays = ({}, {}) if adjusted.structured is not None else _owed(problem, adjusted.solution)

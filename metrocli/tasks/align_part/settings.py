@@ -9,7 +9,19 @@ from metrocli.adjust.clusters.robust import FROM_RESIDUALS
 from metrocli.frozen import dataclass
 from metrocli.imageset import ImageSet
 from metrocli.result import Result
-from metrocli.settings import Choice, Either, FileOf, ImageFiles, ListOf, Section, TableFile, WithUnit, setting
+from metrocli.settings import (
+    Choice,
+    Either,
+    FileOf,
+    ImageFiles,
+    ListOf,
+    MapOf,
+    Section,
+    TableFile,
+    Text,
+    WithUnit,
+    setting,
+)
 from metrocli.settings.sections import content, inputs_of
 from metrocli.table import Columns, Table, columns
 from metrocli.targets.pattern import Pattern
@@ -51,7 +63,8 @@ class Files:
 
     camera: Result | CameraFile = content(
         FileOf(("calibrate-camera",), CameraFile, CAMERA_FILES),
-        "result of calibrate-camera (rig cmm), or a camera written by hand (.yaml) or by another program",
+        "result of calibrate-camera (rig cmm), of one camera or several, or a camera written by hand (.yaml) or by "
+        "another program",
     )
     poses: Table = content(TableFile(POSES), "commanded pose of the spindle for each image")
     targets: Table | Result = content(
@@ -105,6 +118,12 @@ class Settings:
         "what the camera file does not state: its place in the taper, uncertainties",
         default=None,
     )
+    cameras: dict[str, str] | None = setting(
+        MapOf(Text()),
+        "names of the images of each of several cameras, with one *, as in their calibration unless given; images are "
+        "taken at once if it stands for the same",
+        default=None,
+    )
     part: Part | None = setting(
         Section(Part), "temperature and expansion of the part in the machine; its targets are listed at 20 degC", None
     )
@@ -122,6 +141,9 @@ class Settings:
     def faults(self) -> Iterable[tuple[str, str]]:
         """Yield (key, message) for keys that are missing or contradict each other."""
         yield from image_faults(self.inputs.observations, self.inputs.images, self.pattern, self.inputs.targets)
+        for name, shape in (self.cameras or {}).items():
+            if shape.count("*") != 1:
+                yield f"cameras.{name}", f"'{shape}' has not one *: write names of images such as {name}*.png"
         if "part-pose" not in self.estimate:
             yield "estimate", "part-pose is missing: write [part-pose] for 6D or [part-pose, clamping-angle] for 7D"
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import field
 
 import numpy as np
@@ -15,6 +15,7 @@ from metrocli.geometry import poses
 from metrocli.instruments.machine import is_angle
 from metrocli.result import Result
 from metrocli.table import Table
+from metrocli.tasks.shared.images.exposures import exposure_of
 from metrocli.uncertainty.calibrated_machine import digest_of, error_motion, outside
 from metrocli.uncertainty.comparison import TABLES_COVARIANCE
 
@@ -50,6 +51,22 @@ class SpindlePoses:
 
     commanded: Table
     machine: Result | None = None
+
+    def rows(self, cameras: Mapping[str, str]) -> dict[str, int]:
+        """Return the row of each exposure, which it names itself or by an image; `cameras` as for `exposures`.
+
+        Raises InputError where images that were taken at once have different poses.
+        """
+        values, found, faults = self.at(np.arange(len(self.commanded))), dict[str, int](), list[Fault]()
+        names = self.commanded.texts("image")
+        for row, name in enumerate(names):
+            first = found.setdefault(exposure_of(cameras, name), row)
+            if (values[first] != values[row]).any():
+                message = f"images '{names[first]}' and '{name}' are taken at once, and their poses differ"
+                faults.append(Fault(message, self.commanded.file))
+        if faults:
+            raise InputError(faults)
+        return found
 
     def at(self, rows: Index) -> Array:
         """Return the commanded poses (rows, 6) of some rows."""

@@ -12,10 +12,10 @@ from metrocli.adjust.outcome import Outcome
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.errors import InputError, UndeterminedError, all_faults
 from metrocli.geometry.poses import EULER, pose_from_euler
-from metrocli.instruments.spindle_camera import part_in_camera
+from metrocli.instruments.spindle_camera import SPINDLE, part_in_camera
 from metrocli.result import Result
 from metrocli.simulation import Simulation, SimulationOptions
-from metrocli.tasks.align_part.camera import camera_of
+from metrocli.tasks.align_part.camera import CameraModel, camera_of
 from metrocli.tasks.align_part.diagnosis import adjusted_job, all_covariates
 from metrocli.tasks.align_part.effects import EFFECTS, EXPANSION, PLACES
 from metrocli.tasks.align_part.fitted_targets import target_list
@@ -60,7 +60,7 @@ def diagnosed(job: Job[Settings, Files]) -> AdjustedJob:
     """Return the adjusted job for `diagnose`, with all its readings, outliers included; raises as `run` does."""
     problem = prepared(job)
     whole = adjusted_job(problem, solved(replace(job.settings, outliers="report"), problem))
-    return replace(whole, not_sought=not_sought(job.settings.shutter, whole.model))
+    return replace(whole, not_sought={**not_sought(job.settings.shutter, whole.model), **whole.not_sought})
 
 
 def prepared(job: Job[Settings, Files]) -> AlignmentProblem:
@@ -68,7 +68,7 @@ def prepared(job: Job[Settings, Files]) -> AlignmentProblem:
     settings, files = job.settings, job.files
     if files.supports is not None:
         must_level(files.supports)
-    model = camera_of(files.camera, settings.camera)
+    model = _camera(job)
     if files.images is not None:
         model.must_fit(files.images)
     listed = target_list(files.targets, settings.part)
@@ -78,6 +78,10 @@ def prepared(job: Job[Settings, Files]) -> AlignmentProblem:
     problem = build(model, sighted, commanded, "clamping-angle" in settings.estimate, listed)
     problem = problem if settings.part is None else problem.with_part(settings.part)
     return problem.with_effects(job.effects)
+
+
+def _camera(job: Job[Settings, Files]) -> CameraModel:
+    return camera_of(job.files.camera, job.settings.camera).with_images(job.settings.cameras)
 
 
 def check(job: Job[Settings, Files]) -> None:
@@ -91,19 +95,23 @@ def check(job: Job[Settings, Files]) -> None:
             if files.supports is not None:
                 must_level(files.supports)
         with each():
-            camera_of(files.camera, job.settings.camera).must_fit(images)
+            model = _camera(job)
+            model.must_fit(images)
         with each():
             target_list(files.targets, job.settings.part)
         with each():
-            shown = np.flatnonzero(np.isin(files.poses.texts("image"), images.names))
-            SpindlePoses(files.poses, files.machine).must_be_known(shown)
+            commanded = SpindlePoses(files.poses, files.machine)
+            taken = _camera(job).exposed(images.names).names
+            rows = [row for name, row in commanded.rows(_camera(job).images).items() if name in taken]
+            commanded.must_be_known(np.array(rows, dtype=np.intp))
 
 
 def solved(settings: Settings, problem: AlignmentProblem) -> AdjustedImages:
     """Adjust a problem; raises UndeterminedError or NotConvergedError if it has no good solution."""
     if settings.noise == STRUCTURED:
-        must_suffice(len(problem.sighted.images), "images")
-    options = Options(settings.outliers == "remove", settings.noise in FROM_RESIDUALS, problem.camera.image_size)
+        must_suffice(len(problem.blocks[SPINDLE].members), "images")
+    largest = max((camera.size for camera in problem.camera.cameras), key=max)
+    options = Options(settings.outliers == "remove", settings.noise in FROM_RESIDUALS, largest)
     adjusted = adjust_images(problem.blocks, problem.images, problem.others, problem.datum, options)
     solution = adjusted.solution
     if solution.undetermined or solution.outcome is Outcome.TOO_FEW:
@@ -123,25 +131,44 @@ def simulate(job: Job[Settings, Files], options: SimulationOptions) -> Simulatio
     truth, poses = settings.simulation, files.poses
     if truth is None:
         raise InputError("simulate needs the truth: give `simulation: {part: {x: 10 mm, ...}, clamping_angle: 1 mm/m}`")
-    model = camera_of(files.camera, settings.camera)
+    model = _camera(job)
     rng = np.random.default_rng(options.seed)
     listed = target_list(files.targets, settings.part)
     known = listed.drawn(known_targets(settings.pattern, listed.table, 0.0), rng)
     growth = 0.0 if settings.part is None else settings.part.growth + settings.part.std * float(rng.normal())
     known = replace(known, points=known.points * (1 + growth))
     at = np.array([getattr(truth.part, name) for name in EULER])
-    commanded, every = SpindlePoses(poses, files.machine), np.arange(len(poses))
-    held = commanded.moved(every, commanded.motion(every).drawn(rng))
+    commanded = SpindlePoses(poses, files.machine)
+    exposures = commanded.rows(model.images)
+    rows = np.array(list(exposures.values()), dtype=np.intp)
+    held = commanded.moved(rows, commanded.motion(rows).drawn(rng))
     part = pose_from_euler(at[:3], at[3:])
-    to_camera = part_in_camera(part, held, truth.clamping_angle, model.taper)
-    images, times = tuple(poses.texts("image")), poses.conditions("t", "temp")
-    shown = SimulatedCamera(model.lens, model.image_size, images, to_camera, known, model.convention, times)
+    times = {name: values[rows] for name, values in poses.conditions("t", "temp").items()}
+    shown = [
+        SimulatedCamera(
+            one.lens,
+            one.size,
+            tuple(one.images.replace("*", exposure) for exposure in exposures),
+            part_in_camera(part, held, truth.clamping_angle, in_taper),
+            known,
+            one.convention,
+            times,
+            one.name,
+            one.shape,
+        )
+        for one, in_taper in zip(model.cameras, model.in_taper, strict=True)
+        if one.images
+    ]
     sigma = settings.noise if isinstance(settings.noise, float) else START_NOISE
     seen = sights(shown)
     seen, values = planted(
-        true_model(model, shown, seen, AlignmentTruth(part, held, truth.clamping_angle)), seen, effects
+        true_model(
+            model, shown, seen, AlignmentTruth(part, dict(zip(exposures, held, strict=True)), truth.clamping_angle)
+        ),
+        seen,
+        effects,
     )
-    table = sightings_table(replace(shown, conditions={}), seen, sigma, rng)
+    table = sightings_table([replace(one, conditions={}) for one in shown], seen, sigma, rng)
     drawn: Iterable[tuple[str, Draw]] = ()
     if options.images and settings.pattern is not None:
         refuse_pictures(effects)

@@ -48,7 +48,7 @@ def build(rig: str, settings: CameraSettings, sighted: Sighted, bars: Table | No
     size = settings.image_size
     if size is None:
         raise InputError("camera: image_size is missing; give the width and height of the images, e.g. [2592, 1944]")
-    sighted = check_inside(sighted, size)
+    sighted = check_inside(sighted, np.array(size)[:, None])
     sighted = placed(sighted, np.maximum(images_needed(sighted.targets), 2 if rig == "network" else 1))
     check_targets(rig, sighted)
     targets = sighted.targets

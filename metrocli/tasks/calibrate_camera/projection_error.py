@@ -6,11 +6,11 @@ import numpy as np
 
 from metrocli.adjust.solution import Solution
 from metrocli.arrays import Array, Index
+from metrocli.effects.links.lens_shape import SHAPE
 from metrocli.instruments import camera
 from metrocli.instruments.lenses.lens import equidistant, focal, ideal_point, image_point, unit_vector
 from metrocli.tasks.calibrate_camera.problem import CameraProblem
 from metrocli.tasks.calibrate_camera.shape.found import by_shape, link_of
-from metrocli.tasks.calibrate_camera.shape.spline import SHAPE
 from metrocli.tasks.shared.statistics import Statistics
 from metrocli.units.people import two_digits
 

@@ -35,7 +35,7 @@ from metrocli.tasks.calibrate_camera.other_lenses import fisheye_instead
 from metrocli.tasks.calibrate_camera.problem import CameraProblem
 from metrocli.tasks.calibrate_camera.projection_error import corner_std, coverage_note, coverage_warnings
 from metrocli.tasks.calibrate_camera.settings import CameraSettings, Settings
-from metrocli.tasks.calibrate_camera.shape.found import shape_notes, shape_rms, shape_table
+from metrocli.tasks.calibrate_camera.shape.found import shape_arrays, shape_notes, shape_rms, shape_table
 from metrocli.tasks.calibrate_camera.turned_images import turned_images
 from metrocli.tasks.shared.images.adjustment import AdjustedImages
 from metrocli.tasks.shared.images.camera_parameters import Parameters, parameters, pose_columns, unit_of
@@ -124,7 +124,7 @@ def _tables_and_arrays(solved: _Calibration, hidden: Table) -> tuple[dict[str, T
     problem, settings, solution, adjusted = solved.problem, solved.settings, solved.solution, solved.adjusted
     p, covariance = solved.delivered, solved.covariance
     effect_tables, effect_arrays = effect_results(problem.effects, solution)
-    arrays: dict[str, Array] = {"correlation": p.correlation, **effect_arrays}
+    arrays: dict[str, Array] = {"correlation": p.correlation, **effect_arrays, **shape_arrays(problem, solution)}
     form = photogrammetric_form(problem, settings, solution)
     if form is not None:
         arrays["photogrammetric_covariance"] = form_covariance(form, covariance)

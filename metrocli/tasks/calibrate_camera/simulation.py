@@ -160,7 +160,7 @@ def true_model(rig: str, shown: SimulatedCamera, seen: ExactImagePoints) -> Mode
         name: camera.view_block(views, images, 1.0, name),
         camera.TARGET: camera.target_block(shown.targets.points, shown.targets.names, False, 1.0),
     }
-    group = image_group(shown, seen, camera.chain(rig, shown.convention), camera.VIEW)
+    group = image_group([shown], seen, camera.chain(rig, shown.convention))
     places = {"image": Place(shown.images, "view"), "target": Place(shown.targets.names, camera.TARGET)}
     nominal = {camera.TARGET: shown.targets.points}
     return Model(blocks, (group,), None, (IMAGES,), places, nominal=nominal)

@@ -167,13 +167,13 @@ def simulate(job: Job[Settings, Files], options: SimulationOptions) -> Simulatio
     times = conditions(truth, len(views.images))
     shown = SimulatedCamera(lens, size, views.images, views.to_camera, known, settings.camera.convention, times)
     sigma = settings.noise if isinstance(settings.noise, float) else START_NOISE
-    seen = sights(shown, views.only)
+    seen = sights([shown], views.only)
     seen, values = planted(true_model(settings.rig, shown, seen), seen, effects)
-    table = sightings_table(shown, seen, sigma, rng)
+    table = sightings_table([shown], seen, sigma, rng)
     drawn: Iterable[tuple[str, Draw]] = ()
     if options.images and settings.pattern is not None:
         refuse_pictures(effects)
-        drawn = pictures(shown, settings.pattern, rng, views.only)
+        drawn = pictures([shown], settings.pattern, rng, views.only)
     true = dict(lens)
     if truth.extrinsics is not None:
         true |= {name: float(getattr(truth.extrinsics, name)) for name in poses.EULER}

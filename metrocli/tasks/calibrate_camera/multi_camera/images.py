@@ -1,65 +1,15 @@
-"""Which camera took an image, and at which exposure: the part of its name that * stands for."""
+"""The images of one of several cameras, and by which exposures all of them are connected."""
 
 from __future__ import annotations
 
-import re
-from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from metrocli.arrays import Index
-from metrocli.errors import Fault, InputError, UndeterminedError
-from metrocli.frozen import dataclass
-from metrocli.tasks.calibrate_camera.settings import OneOfSeveral
+from metrocli.errors import UndeterminedError
+from metrocli.tasks.shared.images.exposures import Exposures
 from metrocli.tasks.shared.images.sightings import Sighted
-from metrocli.words import in_a_row, listed
-
-
-@dataclass(frozen=True)
-class Exposures:
-    """The exposures of several cameras."""
-
-    names: tuple[str, ...]
-    cameras: tuple[str, ...]
-    camera: Index
-    """Camera of each image, (images,)"""
-    exposure: Index
-    """Exposure of each image, (images,)"""
-
-    def image(self, camera: int, exposure: int) -> int:
-        """Return the number of the image of a camera at an exposure, -1 without one."""
-        found = np.flatnonzero((self.camera == camera) & (self.exposure == exposure))
-        return int(found[0]) if found.size else -1
-
-    def common(self, first: int, second: int) -> Index:
-        """Return the exposures of which both cameras have an image."""
-        both = (self.exposure[self.camera == number] for number in (first, second))
-        return np.asarray(np.intersect1d(*both))
-
-
-def exposures(cameras: Mapping[str, OneOfSeveral], images: Sequence[str]) -> Exposures:
-    """Return the camera and the exposure of each image.
-
-    Raises InputError for images of no camera or of two, and for cameras without an image.
-    """
-    shapes = {
-        name: re.compile("(.*)".join(map(re.escape, several.images.split("*")))) for name, several in cameras.items()
-    }
-    numbered = [
-        [(number, match[1]) for number, shape in enumerate(shapes.values()) if (match := shape.fullmatch(image))]
-        for image in images
-    ]
-    wrong = [image for image, matches in zip(images, numbered, strict=True) if len(matches) != 1]
-    if wrong:
-        known = in_a_row([f"{name} {several.images}" for name, several in cameras.items()])
-        raise InputError([Fault(f"images of no camera, or of two: {listed(wrong, 5)}", hint=f"cameras have {known}")])
-    camera = np.array([matches[0][0] for matches in numbered], dtype=np.intp)
-    names, exposure = np.unique([matches[0][1] for matches in numbered], return_inverse=True)
-    empty = [name for number, name in enumerate(cameras) if not (camera == number).any()]
-    if empty:
-        raise InputError(f"no image of {in_a_row(empty)} shows enough targets; check `cameras: images`")
-    return Exposures(tuple(names.tolist()), tuple(cameras), camera, exposure)
+from metrocli.words import in_a_row
 
 
 def of_camera(sighted: Sighted, exposed: Exposures, camera: int) -> Sighted:
@@ -78,7 +28,8 @@ def connected(exposed: Exposures) -> list[tuple[int, int]]:
     Raises UndeterminedError if a camera has no exposure in common with any that is connected to the first.
     """
     count = len(exposed.cameras)
-    shared = np.array([[len(exposed.common(a, b)) for b in range(count)] for a in range(count)])
+    there = [exposed.exposure[exposed.camera == number] for number in range(count)]
+    shared = np.array([[len(np.intersect1d(one, other)) for other in there] for one in there])
     reached, pairs = [0], list[tuple[int, int]]()
     while len(reached) < count:
         others = [number for number in range(count) if number not in reached]

@@ -17,8 +17,9 @@ from metrocli.result import Result, ShownTable
 from metrocli.table import Table
 from metrocli.tasks.calibrate_camera import KIND
 from metrocli.tasks.calibrate_camera.advice import correlation_warnings, unfolded
-from metrocli.tasks.calibrate_camera.multi_camera.system import IMAGE, CameraSystem
+from metrocli.tasks.calibrate_camera.multi_camera.system import CameraSystem
 from metrocli.tasks.shared.images.adjustment import AdjustedImages
+from metrocli.tasks.shared.images.calibrated import CAMERAS
 from metrocli.tasks.shared.images.camera_parameters import (
     POSE_UNITS,
     Parameters,
@@ -27,11 +28,9 @@ from metrocli.tasks.shared.images.camera_parameters import (
     unit_of,
     with_effects,
 )
+from metrocli.tasks.shared.images.exposures import IMAGE
 from metrocli.tasks.shared.images.tables import adjustment_notes, image_statistics, image_tables, image_warnings
 from metrocli.tasks.shared.statistics import Statistics, chi_interval, noise_notes, noise_warnings
-
-CAMERAS = "cameras"
-"""Table of the cameras: image size and pose of each"""
 
 
 def delivered(system: CameraSystem) -> tuple[str, ...]:
@@ -106,11 +105,15 @@ def _lens_table(solution: Solution) -> Table:
 
 
 def _cameras(system: CameraSystem, solution: Solution) -> Table:
-    """Return the size of the images of each camera, and its pose in the frame of the first."""
+    """Return names and size of the images of each camera, and its pose in the frame of the first."""
     mount = solution.blocks[camera.MOUNT]
     sizes = np.array([system.size(name) for name in mount.members])
-    own = {"camera [text]": mount.members, "image_width": sizes[:, 0], "image_height": sizes[:, 1]}
-    return Table.of({**own, **pose_columns(mount.values, solution.covariance_or_raise().members(camera.MOUNT))})
+    named = [system.cameras[name].images for name in mount.members]
+    own = {"camera [text]": mount.members, "images [text]": named}
+    of_size = {"image_width": sizes[:, 0], "image_height": sizes[:, 1]}
+    return Table.of(
+        {**own, **of_size, **pose_columns(mount.values, solution.covariance_or_raise().members(camera.MOUNT))}
+    )
 
 
 def _statistics(system: CameraSystem, adjusted: AdjustedImages, residuals: Residuals) -> Statistics:

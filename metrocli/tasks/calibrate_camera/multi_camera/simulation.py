@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from itertools import chain
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
@@ -11,10 +10,9 @@ from metrocli.arrays import Array
 from metrocli.errors import InputError, UsageError
 from metrocli.geometry import poses
 from metrocli.simulation import Simulation, SimulationOptions
-from metrocli.table import Table
 from metrocli.tasks.calibrate_camera.multi_camera.truth import CameraSimulation, TrueCamera
 from metrocli.tasks.calibrate_camera.settings import Files, OneOfSeveral, Settings
-from metrocli.tasks.calibrate_camera.simulation import Views, conditions, simulated_targets, simulated_views
+from metrocli.tasks.calibrate_camera.simulation import conditions, simulated_targets, simulated_views
 from metrocli.tasks.job import Job
 from metrocli.tasks.shared.images.sightings import START_NOISE
 from metrocli.tasks.shared.images.simulation import Draw, SimulatedCamera, pictures, sightings_table, sights
@@ -39,8 +37,8 @@ def simulate(job: Job[Settings, Files], cameras: Mapping[str, OneOfSeveral], opt
     known = simulated_targets(settings, job.files, rng)
     views = simulated_views(settings.rig, truth, known, rng)
     times = conditions(truth, len(views.images))
-    shown = {
-        name: SimulatedCamera(
+    shown = [
+        SimulatedCamera(
             _true_lens(given, truth.cameras[name]),
             given.image_size or (0, 0),
             tuple(given.images.replace("*", image.removesuffix(".png")) for image in views.images),
@@ -48,15 +46,17 @@ def simulate(job: Job[Settings, Files], cameras: Mapping[str, OneOfSeveral], opt
             known,
             given.convention,
             times,
+            name,
         )
         for name, given in cameras.items()
-    }
-    files = {"observations.csv": _observations(settings, shown, views, rng)}
+    ]
+    sigma = settings.noise if isinstance(settings.noise, float) else START_NOISE
+    files = {"observations.csv": sightings_table(shown, sights(shown, views.only), sigma, rng)}
     if job.files.targets is None:
         files["targets.csv"] = listed_places("target", known.names, known.points)
     drawn: Iterable[tuple[str, Draw]] = ()
     if options.images and settings.pattern is not None:
-        drawn = chain.from_iterable([pictures(camera, settings.pattern, rng, views.only) for camera in shown.values()])
+        drawn = pictures(shown, settings.pattern, rng, views.only)
     return Simulation(files, _true_values(shown, truth), drawn)
 
 
@@ -74,25 +74,10 @@ def _into(truth: TrueCamera, count: int) -> Array:
     return np.broadcast_to(poses.inverse(held), (count, 6))
 
 
-def _observations(
-    settings: Settings, shown: Mapping[str, SimulatedCamera], views: Views, rng: np.random.Generator
-) -> Table:
-    """Return the image points of all cameras, those of one below those of the other."""
-    sigma = settings.noise if isinstance(settings.noise, float) else START_NOISE
-    tables = []
-    for name, camera in shown.items():
-        try:
-            tables.append(sightings_table(camera, sights(camera, views.only), sigma, rng))
-        except InputError as error:
-            raise InputError(f"camera {name}: {error.faults[0].message}") from error
-    columns = {name: np.concatenate([table.columns[name] for table in tables]) for name in tables[0].columns}
-    return Table(columns, tables[0].units)
-
-
-def _true_values(shown: Mapping[str, SimulatedCamera], truth: CameraSimulation) -> dict[str, float]:
+def _true_values(shown: Sequence[SimulatedCamera], truth: CameraSimulation) -> dict[str, float]:
     """Return lens and pose of each camera by the names of the estimates; the pose of the first is that of the rig."""
-    values = {f"{name}.{key}": value for name, camera in shown.items() for key, value in camera.lens.items()}
+    values = {f"{camera.name}.{key}": value for camera in shown for key, value in camera.lens.items()}
     places = [camera.extrinsics for camera in (truth.cameras or {}).values()]
-    for name, at in zip(shown, [truth.extrinsics, *places[1:]], strict=True):
-        values |= {f"{name}.{key}": getattr(at, key) for key in poses.EULER if at is not None}
+    for camera, at in zip(shown, [truth.extrinsics, *places[1:]], strict=True):
+        values |= {f"{camera.name}.{key}": getattr(at, key) for key in poses.EULER if at is not None}
     return values

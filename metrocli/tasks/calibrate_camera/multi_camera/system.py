@@ -10,26 +10,25 @@ import numpy as np
 from metrocli.adjust.adjustment import StoppingRule, adjust
 from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.groups import Group, priors
-from metrocli.adjust.model.observations import Observations
 from metrocli.arrays import Array
 from metrocli.effects.model import Model, Place
 from metrocli.effects.modelled import Modelled
-from metrocli.errors import UndeterminedError
+from metrocli.errors import InputError, UndeterminedError
 from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.instruments import camera
 from metrocli.instruments.lenses.lens import PARAMETERS
 from metrocli.tasks.calibrate_camera.build import build, target_datum
-from metrocli.tasks.calibrate_camera.multi_camera.images import Exposures, connected, exposures, of_camera
+from metrocli.tasks.calibrate_camera.multi_camera.images import connected, of_camera
 from metrocli.tasks.calibrate_camera.multi_camera.start import CalibratedCamera, all_in_first, pose_between
 from metrocli.tasks.calibrate_camera.problem import CameraProblem
 from metrocli.tasks.calibrate_camera.settings import OneOfSeveral, Settings
 from metrocli.tasks.shared.images.adjustment import IMAGES
 from metrocli.tasks.shared.images.eccentricity import corrected
+from metrocli.tasks.shared.images.exposures import IMAGE, Exposures, exposures
 from metrocli.tasks.shared.images.sightings import Sighted
+from metrocli.words import in_a_row
 
-IMAGE = "image"
-"""Index of the observations that gives the image of each reading; `view` gives its exposure"""
 _STEPS = 60
 
 
@@ -62,7 +61,9 @@ def system_of(settings: Settings, cameras: Mapping[str, OneOfSeveral], sighted: 
 
     Raises InputError and UndeterminedError as `build`, `exposures`, `connected` and `pose_between`.
     """
-    exposed = exposures(cameras, sighted.images)
+    exposed = exposures({name: several.images for name, several in cameras.items()}, sighted.images)
+    if exposed.unused:
+        raise InputError(f"no image of {in_a_row(exposed.unused)} shows enough targets; check `cameras: images`")
     # targets placed by a CMM are one frame for all cameras
     order = connected(exposed) if settings.rig == "board" else [(c, 0) for c in range(1, len(cameras))]
     each = [_alone(settings.rig, one, of_camera(sighted, exposed, i)) for i, one in enumerate(cameras.items())]
@@ -72,7 +73,9 @@ def system_of(settings: Settings, cameras: Mapping[str, OneOfSeveral], sighted: 
     blocks = _blocks(settings.rig, exposed, each, (seen, held))
     targets = sighted.targets
     free = np.broadcast_to(blocks[camera.TARGET].free, targets.points.shape)
-    group = Group(IMAGES, camera.chain(settings.rig, each[0].convention, several=True), _readings(exposed, sighted))
+    group = Group(
+        IMAGES, camera.chain(settings.rig, each[0].convention, several=True), exposed.readings(sighted.observations)
+    )
     datum = target_datum(settings.rig, blocks[camera.TARGET]) if free.any() else None
     places = {"image": Place(sighted.images, IMAGE), "target": Place(targets.names, camera.TARGET)}
     known = priors(blocks[camera.TARGET], targets.sigma, free)
@@ -152,11 +155,3 @@ def _lenses(cameras: Sequence[str], blocks: Sequence[Block]) -> Block:
     )
     reach = [max(block.reach[block.column(name)] for block in blocks if name in block.columns) for name in columns]
     return Block(camera.LENS, values, columns, tuple(cameras), free, np.array(reach), noun="camera")
-
-
-def _readings(exposed: Exposures, sighted: Sighted) -> Observations:
-    observations = sighted.observations
-    image, count = observations.index["view"], observations.count
-    index = {**observations.index, IMAGE: image, "view": exposed.exposure[image]}
-    index |= dict.fromkeys((camera.LENS, camera.MOUNT), exposed.camera[image])
-    return replace(observations, index={**index, camera.TAPER: np.zeros(count, dtype=np.intp)})

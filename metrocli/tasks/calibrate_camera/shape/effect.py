@@ -13,11 +13,11 @@ import numpy as np
 
 from metrocli.arrays import Array
 from metrocli.effects.effect import Effect, Parameter, sizes
-from metrocli.effects.links.lens_shape import Knots, LensShape
+from metrocli.effects.links.lens_shape import SHAPE, Knots, LensShape
 from metrocli.effects.wanted import Wanted
 from metrocli.errors import InputError
 from metrocli.tasks.calibrate_camera.problem import CameraProblem
-from metrocli.tasks.calibrate_camera.shape.spline import SHAPE, kernels, link_free_of_base
+from metrocli.tasks.calibrate_camera.shape.spline import kernels, link_free_of_base
 
 _SMALL = 3e-3
 """Share of the largest variance below which a direction of the shape is left out"""

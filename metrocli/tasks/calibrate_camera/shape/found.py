@@ -6,14 +6,18 @@ import numpy as np
 
 from metrocli.adjust.solution import Solution
 from metrocli.arrays import Array
-from metrocli.effects.links.lens_shape import LensShape
+from metrocli.effects.links.lens_shape import SHAPE, LensShape
+from metrocli.geometry import poses
+from metrocli.instruments.camera import LENS, TAPER
 from metrocli.instruments.lenses.conventions import image_grid
 from metrocli.table import Table
 from metrocli.tasks.calibrate_camera.problem import CameraProblem
-from metrocli.tasks.calibrate_camera.shape.spline import SHAPE
+from metrocli.tasks.shared.images.calibrated import DIRECTIONS, LENS_SHAPE, SHAPE_COVARIANCE
+from metrocli.tasks.shared.images.camera_parameters import in_diagonal
 from metrocli.tasks.shared.images.settings import SPLINE
 
-TABLE = "lens_shape"
+_KNOWN = 1e-3
+"""Share of the largest standard deviation below which a direction of the shape counts as known"""
 
 
 def link_of(problem: CameraProblem) -> LensShape | None:
@@ -37,7 +41,21 @@ def shape_table(problem: CameraProblem, solution: Solution) -> dict[str, Table]:
     shift = (n @ solution.blocks[SHAPE].values[0]).reshape(2, -1)
     std = np.sqrt(np.einsum("ka,ab,kb->k", n, solution.covariance_or_raise().of(SHAPE), n)).reshape(2, -1)
     columns = {"u [px]": places[:, 0], "v [px]": places[:, 1], "du [px]": shift[0], "dv [px]": shift[1]}
-    return {TABLE: Table.of({**columns, "std_du [px]": std[0], "std_dv [px]": std[1]})}
+    return {LENS_SHAPE: Table.of({**columns, "std_du [px]": std[0], "std_dv [px]": std[1]})}
+
+
+def shape_arrays(problem: CameraProblem, solution: Solution) -> dict[str, Array]:
+    """Return how uncertain the shape is together with lens and pose; {} without a shape, and unless the rig is cmm."""
+    link = link_of(problem)
+    if link is None or problem.rig != "cmm":
+        return {}
+    values, vectors = np.linalg.eigh(solution.joint((SHAPE,)))
+    unknown = values > _KNOWN**2 * values[-1]
+    lens, pose = solution.blocks[LENS], solution.blocks[TAPER].values[0]
+    change = in_diagonal([np.eye(int(lens.free.sum())), poses.euler_form_by_step(pose), vectors.T])
+    change = np.delete(change, len(change) - len(values) + np.flatnonzero(~unknown), axis=0)
+    covariance = change @ solution.joint((LENS, TAPER, SHAPE)) @ change.T
+    return {DIRECTIONS: link.to_coefficients @ vectors[:, unknown], SHAPE_COVARIANCE: covariance}
 
 
 def shape_rms(problem: CameraProblem, solution: Solution) -> float:

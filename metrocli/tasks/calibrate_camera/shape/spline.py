@@ -17,14 +17,13 @@ from metrocli.adjust.model.groups import Group, joint_prior
 from metrocli.adjust.model.observations import Observations
 from metrocli.adjust.solution import Solution
 from metrocli.arrays import Array
-from metrocli.effects.links.lens_shape import Knots, LensShape
+from metrocli.effects.links.lens_shape import SHAPE, Knots, LensShape
 from metrocli.instruments import camera
 from metrocli.instruments.lenses.conventions import image_grid
 from metrocli.instruments.lenses.lens import direction
 from metrocli.tasks.calibrate_camera.problem import CameraProblem
 from metrocli.tasks.calibrate_camera.shape.size import Evidence, likely
 
-SHAPE = "lens-shape"
 _KNOTS = 12
 """Knots along the longer side of the image"""
 _WIDE = 3.0
@@ -96,7 +95,7 @@ def kernels(link: LensShape, image_size: tuple[int, int]) -> list[Array]:
 def _extended(problem: CameraProblem, link: LensShape, covariance: Array) -> CameraProblem:
     size = link.to_coefficients.shape[1]
     block = Block(SHAPE, np.zeros((1, size)), tuple(f"w{k + 1}" for k in range(size)))
-    prior = joint_prior([block], [tuple(range(size))], covariance)
+    prior = joint_prior([(block, np.zeros(size, dtype=np.intp), np.arange(size))], covariance)
     images = problem.images
     group = Group(images.name, images.chain.spliced([link]), images.observations, images.weights)
     model = problem.model.with_group(group)

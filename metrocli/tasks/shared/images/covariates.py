@@ -5,7 +5,7 @@ A covariate is a quantity with which an unknown effect could vary: time, place i
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -13,7 +13,6 @@ import numpy as np
 from metrocli.adjust.adjustment import StoppingRule, adjust
 from metrocli.adjust.datum import Datum
 from metrocli.adjust.model.blocks import Block
-from metrocli.adjust.model.chain import Chain
 from metrocli.adjust.model.quantities import Quantity
 from metrocli.adjust.solution import Solution
 from metrocli.arrays import Array, Index, Mask
@@ -39,13 +38,11 @@ def covariates(model: Model) -> list[Covariate]:
     """Return the covariates of all image jobs."""
     group = model.readings[0]
     observations = group.observations
-    links = group.chain.links
-    last = max(number for number, link in enumerate(links) if link.gives is Quantity.POINT_IN_CAMERA)
-    in_camera = Chain(links[: last + 1]).predict(model.blocks, observations)
-    lens = model.blocks[LENS].named()
+    in_camera = group.chain.until(Quantity.POINT_IN_CAMERA).predict(model.blocks, observations)
+    lens, of = model.blocks[LENS], observations.index.get(LENS, np.zeros(1, dtype=np.intp))
     conditions, view = observations.conditions, observations.index["view"].astype(float)
     # Predicted image points: the readings would put their own noise into the covariates.
-    off = group.chain.predict(model.blocks, observations) - np.array([[lens["cx"]], [lens["cy"]]])
+    off = group.chain.predict(model.blocks, observations) - lens.values[:, lens.mask(("cx", "cy"))][of].T
     order = covariate("order of the images", view, 5)
     if ELAPSED in conditions:
         order = covariate("t_s", conditions[ELAPSED], 5)
@@ -84,23 +81,27 @@ def folds(unit: Index) -> Mapping[str, Index]:
 def refit(datum: Datum | None) -> Callable[[Model, Mapping[str, Mask]], Solution]:
     """Return a function that adjusts a model to the readings kept.
 
-    Poses of images without a reading are held fixed.
+    Poses of images without a reading or a prior are held fixed.
     """
 
     def adjusted(model: Model, keep: Mapping[str, Mask]) -> Solution:
         groups = [group.selected(keep[group.name]) if group.name in keep else group for group in model.groups]
-        blocks = [_without_the_unread(block, groups[0].observations.index) for block in model.blocks.values()]
+        indices = [group.observations.index for group in groups]
+        blocks = [_without_the_unread(block, indices) for block in model.blocks.values()]
         return adjust(blocks, groups, datum, StoppingRule())
 
     return adjusted
 
 
-def _without_the_unread(block: Block, index: Mapping[str, Index]) -> Block:
-    """Return the block with members that have no reading held fixed; targets stay free, as they may have priors."""
-    if block.name not in index or block.name == TARGET:
+def _without_the_unread(block: Block, indices: Sequence[Mapping[str, Index]]) -> Block:
+    """Return the block with members that neither images (first of the indices) nor priors read held fixed.
+
+    Targets stay free, whatever reads them.
+    """
+    if block.name not in indices[0] or block.name == TARGET:
         return block
-    read = np.bincount(index[block.name], minlength=len(block.members)) > 0
-    return replace(block, free=block.free & read[:, None])
+    read = np.concatenate([np.ravel(index[block.name]) for index in indices if block.name in index])
+    return replace(block, free=block.free & np.isin(np.arange(len(block.members)), read)[:, None])
 
 
 def named(covariates: Iterable[Covariate]) -> tuple[Covariate, ...]:

@@ -16,7 +16,7 @@ from metrocli.frozen import dataclass
 from metrocli.imageset import ImageSet
 from metrocli.table import Columns, Table, columns
 from metrocli.targets.find import find
-from metrocli.targets.pattern import Pattern
+from metrocli.targets.pattern import CORNERS, Pattern
 from metrocli.tasks.shared.images.eccentricity import SIZE
 from metrocli.tasks.shared.images.settings import ImageSettings
 from metrocli.tasks.shared.images.target_list import TargetCoordinates, known_targets
@@ -155,7 +155,7 @@ def _eccentric(settings: ImageSettings, sighted: Sighted, measured: bool) -> boo
             "eccentricity: correct needs the radius of every target: "
             "a column radius_mm in the targets file, or the pattern's diameter"
         )
-    circular = settings.pattern is not None and settings.pattern.type not in ("chessboard", "charuco")
+    circular = settings.pattern is not None and settings.pattern.type not in CORNERS
     automatic = settings.eccentricity == "auto" and measured and circular
     return known and (settings.eccentricity == "correct" or automatic)
 
@@ -247,13 +247,14 @@ def join(table: Table, targets: TargetCoordinates, sigma: float, fewest: int) ->
     return Sighted(tuple(images[enough].tolist()), targets, observations, tuple(warnings))
 
 
-def check_inside(sighted: Sighted, size: tuple[int, int]) -> Sighted:
-    """Return the sightings, with a warning if a few readings lie outside the image.
+def check_inside(sighted: Sighted, size: Array) -> Sighted:
+    """Return the sightings, with a warning if a few readings lie outside the image; `size` is (2, n) px.
 
     Raises InputError if many do, if one is farther outside than the image is large, or if all would lie inside with u
     and v exchanged.
     """
-    uv, extent = sighted.observations.readings, np.array(size)[:, None]
+    uv = sighted.observations.readings
+    extent = np.broadcast_to(size, uv.shape)
     outside = ((uv < -_BEYOND * extent) | (uv > (1 + _BEYOND) * extent)).any(axis=0)
     if not outside.any():
         return sighted
@@ -262,7 +263,7 @@ def check_inside(sighted: Sighted, size: tuple[int, int]) -> Sighted:
     keys = sighted.observations.keys
     which = "one of them far" if far.any() else "the first"
     message = (
-        f"{outside.sum()} of {outside.size} readings lie outside an image of {size[0]} x {size[1]} px, "
+        f"{outside.sum()} of {outside.size} readings lie outside an image of {extent[0, i]:g} x {extent[1, i]:g} px, "
         f"{which}: image {keys['image'][i]}, target {keys['target'][i]} at ({uv[0, i]:.1f}, {uv[1, i]:.1f}); "
         "check image_size and the columns"
     )

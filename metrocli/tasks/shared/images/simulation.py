@@ -13,6 +13,7 @@ from metrocli.adjust.model.observations import Observations
 from metrocli.arrays import Array, Index, Mask, Picture
 from metrocli.effects.estimates import true_values
 from metrocli.effects.extension import extended
+from metrocli.effects.links.lens_shape import KnownShape, shifted, unshifted
 from metrocli.effects.model import Model
 from metrocli.effects.wanted import Wanted
 from metrocli.errors import InputError, UsageError
@@ -48,6 +49,10 @@ class SimulatedCamera:
     convention: str = "forward"
     conditions: Mapping[str, Array] = field(default_factory=dict)
     """Time and temperature of each image, (images,)"""
+    name: str = ""
+    """Of one of several cameras"""
+    shape: KnownShape | None = None
+    """Shift of the image points over the image that the lens has besides"""
 
 
 def true_targets(listed: TargetCoordinates, rng: np.random.Generator) -> TargetCoordinates:
@@ -67,29 +72,45 @@ class ExactImagePoints:
     """Image coordinates (2, n) px"""
 
 
-def sights(shown: SimulatedCamera, only: Callable[[int], list[int]] | None = None) -> ExactImagePoints:
-    """Return the image points of the targets inside each image.
+def sights(cameras: Sequence[SimulatedCamera], only: Callable[[int], list[int]] | None = None) -> ExactImagePoints:
+    """Return the image points of the targets inside each image of all cameras, whose images count on.
 
-    `only` returns the targets that an image shows; None: all. Raises InputError if no target is inside any image.
+    `only` returns the targets that an image shows; None: all. Raises InputError if no target is inside any image of a
+    camera.
     """
-    views, targets, points = [np.zeros(0, dtype=np.intp)], [np.zeros(0, dtype=np.intp)], [np.zeros((0, 2))]
-    for i in range(len(shown.images)):
-        chosen = np.arange(len(shown.targets.names)) if only is None else np.array(only(i), dtype=np.intp)
-        uv, inside = _projected(shown, i, chosen)
-        views.append(np.full(int(inside.sum()), i))
-        targets.append(chosen[inside])
-        points.append(uv[inside])
-    if sum(map(len, views)) == 0:
-        raise InputError("simulation: no target is inside any image; check the poses and the distance")
+    views, targets, points, before = list[Index](), list[Index](), list[Array](), 0
+    for shown in cameras:
+        every = np.arange(len(shown.targets.names))
+        chosen = [every if only is None else np.array(only(i), dtype=np.intp) for i in range(len(shown.images))]
+        found = [_projected(shown, i, one) for i, one in enumerate(chosen)]
+        if not any(inside.any() for _, inside in found):
+            of = f"camera {shown.name}: " if shown.name else ""
+            raise InputError(f"{of}simulation: no target is inside any image; check the poses and the distance")
+        views += [np.full(int(inside.sum()), before + i) for i, (_, inside) in enumerate(found)]
+        targets += [one[inside] for one, (_, inside) in zip(chosen, found, strict=True)]
+        points += [uv[inside] for uv, inside in found]
+        before += len(shown.images)
     return ExactImagePoints(np.concatenate(views), np.concatenate(targets), np.concatenate(points).T)
 
 
-def sightings_table(shown: SimulatedCamera, seen: ExactImagePoints, sigma: float, rng: np.random.Generator) -> Table:
+def sightings_table(
+    cameras: Sequence[SimulatedCamera], seen: ExactImagePoints, sigma: float, rng: np.random.Generator
+) -> Table:
     """Return the table of observations with normal noise `sigma` [px] and the conditions of the images."""
     uv = seen.uv + rng.normal(0.0, sigma, seen.uv.T.shape).T
-    names = {"image": np.array(shown.images)[seen.view], "target": np.array(shown.targets.names)[seen.target]}
-    when = {f"{name} [{CONDITIONS[name]}]": values[seen.view] for name, values in shown.conditions.items()}
+    targets = np.array(cameras[0].targets.names)
+    names = {"image": np.array(all_images(cameras))[seen.view], "target": targets[seen.target]}
+    when = {f"{name} [{CONDITIONS[name]}]": values[seen.view] for name, values in _conditions(cameras).items()}
     return Table.of({**names, "u v [px]": uv.T, **when})
+
+
+def all_images(cameras: Sequence[SimulatedCamera]) -> tuple[str, ...]:
+    """Return the names of the images of all cameras, those of one behind those of the other."""
+    return tuple(image for shown in cameras for image in shown.images)
+
+
+def _conditions(cameras: Sequence[SimulatedCamera]) -> dict[str, Array]:
+    return {name: np.concatenate([shown.conditions[name] for shown in cameras]) for name in cameras[0].conditions}
 
 
 def _projected(shown: SimulatedCamera, image: int, chosen: Index) -> tuple[Array, Mask]:
@@ -100,7 +121,7 @@ def _projected(shown: SimulatedCamera, image: int, chosen: Index) -> tuple[Array
     z = np.linalg.norm(points, axis=1) if fisheye else np.where(front, points[:, 2], 1.0)
     flat = equidistant(points.T) if fisheye else None
     x, y = (points[:, 0] / z, points[:, 1] / z) if flat is None else (flat.x, flat.y)
-    u, v = _distorted(shown, x, y)
+    u, v = shifted(np.stack(_distorted(shown, x, y)), shown.shape)
     size = (
         max(shown.lens.get("f", 0.0), shown.lens.get("fx", 0.0)) * np.nan_to_num(shown.targets.radius[chosen]) / z
         + _MARGIN
@@ -116,7 +137,8 @@ def _mapped(shown: SimulatedCamera, x: Array, y: Array, u: Array, v: Array) -> M
 
     The lens polynomial folds over far outside the image, so that points out of sight are mapped back into it.
     """
-    back_x, back_y = ideal_point(shown.lens, u, v, shown.convention)
+    base_u, base_v = unshifted(np.stack([u, v]), shown.shape)
+    back_x, back_y = ideal_point(shown.lens, base_u, base_v, shown.convention)
     return np.hypot(back_x - x, back_y - y) < _ASTRAY
 
 
@@ -140,11 +162,12 @@ _SETTLED = 1e-10
 """The image points have converged when a round changes them by less than this [px]"""
 
 
-def image_group(shown: SimulatedCamera, seen: ExactImagePoints, chain: Chain, poses: str) -> Group:
-    """Return the image points as readings of a chain; `poses` names the block with a pose for each image."""
-    index = {"view": seen.view, poses: seen.view, TARGET: seen.target}
-    conditions = {name: values[seen.view] for name, values in shown.conditions.items()}
-    conditions["radius"] = shown.targets.radius[seen.target]
+def image_group(cameras: Sequence[SimulatedCamera], seen: ExactImagePoints, chain: Chain) -> Group:
+    """Return the image points as readings of a chain, with the image of each as its view."""
+    targets = cameras[0].targets
+    conditions = {name: values[seen.view] for name, values in _conditions(cameras).items()}
+    conditions["radius"] = targets.radius[seen.target]
+    index = {"view": seen.view, TARGET: seen.target}
     return Group(IMAGES, chain, Observations(seen.uv, np.ones(1), index, conditions=conditions))
 
 
@@ -189,13 +212,17 @@ Draw = Callable[[], "Picture"]
 
 
 def pictures(
-    shown: SimulatedCamera, pattern: Pattern, rng: np.random.Generator, only: Callable[[int], list[int]] | None = None
+    cameras: Sequence[SimulatedCamera],
+    pattern: Pattern,
+    rng: np.random.Generator,
+    only: Callable[[int], list[int]] | None = None,
 ) -> Iterator[tuple[str, Draw]]:
     """Yield the path of each image and a function that renders it; each image has a random seed of its own."""
-    seeds = rng.integers(0, 2**63, len(shown.images))
-    for i, image in enumerate(shown.images):
-        chosen = list(range(len(shown.targets.names))) if only is None else only(i)
-        yield f"images/{image}", drawer(shown, pattern, i, chosen, int(seeds[i]))
+    for shown in cameras:
+        seeds = rng.integers(0, 2**63, len(shown.images))
+        for i, image in enumerate(shown.images):
+            chosen = list(range(len(shown.targets.names))) if only is None else only(i)
+            yield f"images/{image}", drawer(shown, pattern, i, chosen, int(seeds[i]))
 
 
 def drawer(shown: SimulatedCamera, pattern: Pattern, image: int, chosen: list[int], seed: int) -> Draw:
@@ -210,7 +237,8 @@ def drawer(shown: SimulatedCamera, pattern: Pattern, image: int, chosen: list[in
 
 
 def _rays(shown: SimulatedCamera, uv: Array) -> Array:
-    seen = direction(shown.lens, uv[:, 0], uv[:, 1], shown.convention).T
+    base_u, base_v = unshifted(uv.T, shown.shape)
+    seen = direction(shown.lens, base_u, base_v, shown.convention).T
     unit: Array = seen / np.linalg.norm(seen, axis=1, keepdims=True)
     return unit
 

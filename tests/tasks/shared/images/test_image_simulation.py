@@ -17,5 +17,5 @@ def test_a_target_far_outside_the_image_is_not_seen_where_the_distortion_folds_o
     targets = TargetCoordinates(("in", "out", "folded"), points, np.zeros((3, 3)), np.full(3, np.nan))
     radial = beside * (1 + LENS["k1"] * beside**2 + LENS["k2"] * beside**4)
     assert radial[2] * LENS["f"] < LENS["cx"] < radial[1] * LENS["f"]
-    seen = sights(SimulatedCamera(LENS, (2592, 1944), ("one",), np.zeros((1, 6)), targets))
+    seen = sights([SimulatedCamera(LENS, (2592, 1944), ("one",), np.zeros((1, 6)), targets)])
     assert seen.target.tolist() == [0]
