@@ -68,7 +68,13 @@ def test_a_cylinder_is_that_of_scipy_with_its_uncertainty(tmp_path: Path, metroc
     assert found["bore.radius"]["std"] == pytest.approx(0.003 * std[4], rel=1e-6)
 
 
-@pytest.mark.parametrize("shape", list(IdealFeature))
+SLOW = (IdealFeature.CYLINDER, IdealFeature.CONE)
+"""Shapes whose fit begins from many directions"""
+
+
+@pytest.mark.parametrize(
+    "shape", [pytest.param(one, marks=pytest.mark.slow if one in SLOW else ()) for one in IdealFeature]
+)
 def test_stated_uncertainties_hold_for_declared_and_for_estimated_noise(shape: IdealFeature, tmp_path: Path) -> None:
     """40 measurements of points without form: z of all numbers is about 1; direction and place have other units."""
     from metrocli.nodes import Node, Source
