@@ -126,8 +126,9 @@ class _Scan:
         parameter = next(p for p in start.effect.scanned if p.name == self.name)
         if parameter.grid is None:
             return np.zeros(0)
-        here = (alternative for alternative in self.family.alternatives if alternative.instance == start.instance)
-        tried = np.unique([dict(one.scanned)[self.name] for one in here])
+        # another form of the cause may have no such parameter: from a station on, in place of a time
+        alike = (alternative for alternative in self.family.alternatives if alternative.like(start))
+        tried = np.unique([dict(alternative.scanned)[self.name] for alternative in alike])
         own = dict(start.scanned)[self.name]
         low, high = tried[tried < own].max(initial=-np.inf), tried[tried > own].min(initial=np.inf)
         conditions = self.less.measurement.job.model.readings[0].observations.conditions
