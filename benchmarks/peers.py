@@ -84,7 +84,7 @@ PAIRS = (
     Pair("run of 50 jobs with nothing to do", "idle", "ours", "make", 50, "make", 30.0),
     Pair("the same, 500 jobs", "idle", "ours", "make", 500, "make", 30.0, quick=False),
     Pair("the same, 500 jobs", "idle", "ours", "doit", 500, "doit", quick=False),
-    Pair("the same, 500 jobs", "idle", "ours", "snakemake", 500, "snakemake", quick=False),
+    Pair("the same, 50 jobs", "idle", "ours", "snakemake", 50, "snakemake", quick=False),
     Pair("the same, 50 jobs", "idle", "ours", "dvc", 50, "dvc", quick=False),
 )  # fmt: skip
 
