@@ -88,4 +88,5 @@ def tied_members(block: Block, groups: Sequence[Group]) -> Index | None:
             if index is None:
                 return None
             tied += [index.ravel()] if index.ndim > 1 and len(index) > 1 else []
-    return np.unique(np.concatenate(tied))
+    # np.unique loads numpy.ma, which takes longer than a small job
+    return np.flatnonzero(np.bincount(np.concatenate(tied), minlength=len(block.members)))
