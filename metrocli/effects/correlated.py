@@ -53,6 +53,8 @@ class SmoothError(AtQuantity):
 
 
 NAME = "correlated-error"
+_MOST = 1000.0
+"""Largest standard deviation, in those of the declared noise: readings with more would not pass for this instrument"""
 _ERROR = Effect(NAME, "errors of the readings that vary smoothly with a covariate", (Parameter("c1"),), throughout=True)
 
 
@@ -75,8 +77,10 @@ def with_all(model: Model, requests: Iterable[Wanted]) -> Model:
         return model
     model, faults = with_conditions(model), list[Fault]()
     known = {one.name: one for one in stated[0][2](model) if not one.together}
-    for node, error, _ in stated:
-        own = _misplaced(model, error, known, node)
+    for number, (node, error, _) in enumerate(stated):
+        twice = any(error == other for _, other, _ in stated[:number])
+        own = [node.fault("correlated: the same error is listed twice", "leave one of them out")] if twice else []
+        own += _misplaced(model, error, known, node)
         if not own:
             model, own = _with_error(model, error, known[error.covariate], node)
         faults.extend(own)
@@ -117,8 +121,10 @@ def _with_error(model: Model, error: StatedCorrelation, covariate: Covariate, no
         return model, [at.fault(f"correlated: {covariate.name} resolves no length below {least:.2g}")]
     stds = _stds(error.std, groups)
     if stds is None:
-        at = node.get("std") or node
-        return model, [at.fault(f"correlated: std: '{error.std}' is no size of these readings", "write 0.8 um")]
+        at, noise = node.get("std") or node, float(np.median(groups[0].observations.deviations))
+        hint = f"write a size above zero with its unit, at most {_MOST:g} times the declared noise of {noise:.2g} "
+        hint += groups[0].observations.unit
+        return model, [at.fault(f"correlated: std: '{error.std}' is no size of these readings", hint)]
     turn = kernel(smooth.distances, error.length)
     for group, (values, numbers), std in zip(groups, smooth.values, stds, strict=True):
         basis = np.einsum("nm,nmk->kn", values, turn[numbers])
@@ -142,8 +148,8 @@ def _stds(text: str, groups: Sequence[Group]) -> list[float] | None:
                 size = units.parse_quantity(text, name)
             except units.QuantityError:
                 continue
-            if size > 0:
-                own = float(np.median(np.concatenate([groups[at].observations.deviations.ravel() for at in of_unit])))
+            own = float(np.median(np.concatenate([groups[at].observations.deviations.ravel() for at in of_unit])))
+            if 0 < size <= _MOST * own:
                 return [size / own * each for each in typical]
     return None
 

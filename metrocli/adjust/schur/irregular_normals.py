@@ -21,8 +21,28 @@ FEW = 200
 """Most reduced unknowns whose matrices are dense and solved by numpy: loading scipy takes longer than it saves"""
 
 
+class OutsideTiles:
+    """Members whose readings are in no tile, so that nothing is kept of single readings."""
+
+    def covariance(self, reduced: Array) -> Array:
+        """Return the covariance of each member, (members, s, s)."""
+        raise NotImplementedError
+
+    def adjusted(self, reduced: Array) -> tuple[Array, tuple[Array, ...]]:
+        """Return the covariance of each member (members, s, s), and no variances of single readings."""
+        return self.covariance(reduced), ()
+
+    def with_readings(self, reduced: Array, chosen: Sequence[int]) -> Sequence[Array]:
+        """Return nothing."""
+        return ()
+
+    def seen_by(self, fields: Array, chosen: Sequence[int]) -> Sequence[Array]:
+        """Return nothing."""
+        return ()
+
+
 @dataclass(frozen=True)
-class IrregularNormals:
+class IrregularNormals(OutsideTiles):
     """All members of the eliminated block with the sums of their readings; no members if nothing is eliminated."""
 
     members: Index
@@ -93,18 +113,6 @@ class IrregularNormals:
         """Return `D^-1 + W Q W'` of each member, (members, s, s)."""
         weights = self.weights()
         return self.inverse() + (weights @ reduced) @ np.swapaxes(weights, 1, 2)
-
-    def adjusted(self, reduced: Array) -> tuple[Array, tuple[Array, ...]]:
-        """Return `D^-1 + W Q W'` (members, s, s), and no variances of single readings."""
-        return self.covariance(reduced), ()
-
-    def with_readings(self, reduced: Array, chosen: Sequence[int]) -> Sequence[Array]:
-        """Return nothing: single readings are in no tile."""
-        return ()
-
-    def seen_by(self, fields: Array, chosen: Sequence[int]) -> Sequence[Array]:
-        """Return nothing: single readings are in no tile."""
-        return ()
 
     def solved(self, fields: Array) -> Array:
         """Return `D^-1 H` of fields H (members, s, f), (members, s, f), with zeros at fixed entries."""

@@ -6,16 +6,15 @@ all that follows from these holds for it as for the others. Method: docs/algorit
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
+from metrocli.adjust.schur.irregular_normals import OutsideTiles
 from metrocli.arrays import Array, Index
 from metrocli.frozen import dataclass
 
 
 @dataclass(frozen=True)
-class TiedMembers:
+class TiedMembers(OutsideTiles):
     """Tied members, with their columns in the reduced system."""
 
     members: Index
@@ -63,18 +62,6 @@ class TiedMembers:
         """Return their covariance, (k, s, s)."""
         free, at = self.columns >= 0, np.maximum(self.columns, 0)
         return np.where(free[:, :, None] & free[:, None, :], reduced[at[:, :, None], at[:, None, :]], 0.0)
-
-    def adjusted(self, reduced: Array) -> tuple[Array, tuple[Array, ...]]:
-        """Return their covariance (k, s, s), and no variances of single readings."""
-        return self.covariance(reduced), ()
-
-    def with_readings(self, reduced: Array, chosen: Sequence[int]) -> Sequence[Array]:
-        """Return nothing: their readings are in no tile."""
-        return ()
-
-    def seen_by(self, fields: Array, chosen: Sequence[int]) -> Sequence[Array]:
-        """Return nothing: their readings are in no tile."""
-        return ()
 
     def solved(self, fields: Array) -> Array:
         """Return zeros, as `D^-1 H` of fields H (k, s, f)."""

@@ -16,6 +16,7 @@ inputs: {lengths: lengths.csv, points: points.csv, tracers: tracers.csv}
 noise: {constant: 0.5 um, proportional: 0 um/m}
 output: result.h5
 """
+ONE = "{covariate: t_s, by: tracer, length: 0.25, std: 1 um}"
 STATED = "correlated=[{covariate: t_s, by: tracer, length: 0.25, std: 1.5 um}]"
 
 
@@ -114,6 +115,8 @@ def test_the_extended_job_states_what_diagnose_found_and_is_clean(
         ("{covariate: t_s, only: T1, length: 0.25, std: 1 um}", "`only` without `by`"),
         ("{covariate: t_s, by: tracer, length: 0.001, std: 1 um}", "resolves no length below"),
         ("{covariate: t_s, by: tracer, length: 0.25, std: 1 px}", "is no size of these readings"),
+        ("{covariate: t_s, by: tracer, length: 0.25, std: 1 m}", "at most 1000 times the declared noise of 0.0005 mm"),
+        (f"{ONE}, {ONE}", "the same error is listed twice"),
         ("{covariate: t_s, by: tracer, length: 2, std: 1 um}", "2 is out of range"),
         ("{covariate: t_s, by: tracer, length: 0.25}", "the key 'std' is missing"),
     ],
