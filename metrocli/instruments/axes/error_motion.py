@@ -8,13 +8,16 @@ no difference to first order.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
+from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.chain import LinkContext, Step
 from metrocli.adjust.model.quantities import Quantity
 from metrocli.arrays import Array
 from metrocli.frozen import dataclass
-from metrocli.instruments.machine import POSITION, ROWS, SQUARENESS, TOOL, Machine
+from metrocli.instruments.machine import ANGLES, POSITION, ROWS, SQUARENESS, TOOL, Machine
 
 
 @dataclass(frozen=True)
@@ -33,6 +36,45 @@ class Undisturbed:
     def step(self, value: Array, local: LinkContext) -> Step:
         """Return zeros."""
         return Step(np.zeros((ROWS * len(self.machine.axes), 1)))
+
+
+_POSITIONS = "positions of {axis}"
+"""Block of what a rotary axis turned beyond its positions [rad]; a member for each position that is an unknown"""
+POSITIONS = tuple(_POSITIONS.format(axis=axis) for axis in ANGLES)
+"""Names of these blocks"""
+FAR_OFF = 0.2
+"""Plausible error of a position of which little is known [rad]"""
+
+
+def positions_block(letter: str, names: Sequence[str]) -> Block:
+    """Return the block of the positions of an axis that are estimated, by name."""
+    start, name = np.zeros((len(names), 1)), _POSITIONS.format(axis=letter)
+    return Block(name, start, (letter.lower(),), tuple(names), reach=np.array(FAR_OFF), noun="position")
+
+
+@dataclass(frozen=True)
+class EstimatedPositions:
+    """Link to the errors of the axes with what rotary axes turned beyond their positions, any angle."""
+
+    machine: Machine
+    letters: tuple[str, ...]
+    takes = gives = Quantity.AXIS_ERRORS
+
+    @property
+    def blocks(self) -> tuple[str, ...]:
+        """Names of the blocks of their positions."""
+        return tuple(_POSITIONS.format(axis=letter) for letter in self.letters)
+
+    def step(self, value: Array, local: LinkContext) -> Step:
+        """Return the errors (9 axes, n), with their derivatives by the positions."""
+        n = local.observations.count
+        total, by_block = np.array(np.broadcast_to(value, (len(value), n))), dict[str, Array]()
+        for letter, name in zip(self.letters, self.blocks, strict=True):
+            row = self.machine.row(letter.lower(), 3 + ANGLES.index(letter))
+            total[row] += local.rows(name)[0]
+            by_block[name] = np.zeros((len(value), 1, n))
+            by_block[name][row] = 1.0
+        return Step(total, None, by_block)
 
 
 @dataclass(frozen=True)

@@ -12,10 +12,10 @@ import numpy as np
 
 from metrocli.adjust.model.chain import Chain, Link, LinkContext, Step, through
 from metrocli.adjust.model.quantities import Quantity
-from metrocli.arrays import Array, Index
+from metrocli.arrays import Array
 from metrocli.frozen import dataclass
 from metrocli.geometry.rotations import vector_from_rotation
-from metrocli.instruments.axes.error_motion import ErrorMotion, ReachedPoint, Undisturbed
+from metrocli.instruments.axes.error_motion import ErrorMotion, EstimatedPositions, ReachedPoint, Undisturbed
 from metrocli.instruments.axes.joints import JointMotion, crossed, times, turned
 from metrocli.instruments.axes.rotary import SPINDLE
 from metrocli.instruments.machine import ROWS, SQUARENESS, TOOL, Machine
@@ -190,7 +190,7 @@ class TipMotion(_OfMachine):
         tip, by_tool, by_spindle = self.tip(local)
         carried = _carried(self.motions(value, local), [(axis, False) for axis in self.machine.order], tip)
         position = np.stack([local.observations.conditions[axis.coordinate] for axis in self.machine.axes])
-        nominal, axes = nominal_tip(self.machine, position, local.index(TOOL))
+        nominal, axes = nominal_tip(self.machine, position, self.machine.tools[local.index(TOOL)].T)
         turn = through(through(carried.rotation, by_tool), np.swapaxes(axes, 0, 1))
         angles = vector_from_rotation(np.moveaxis(turn, -1, 0)).T
         changes = {axis: np.concatenate([one, carried.turns[axis]]) for axis, one in carried.changes.items()}
@@ -205,16 +205,16 @@ class TipMotion(_OfMachine):
         return Step(np.concatenate([carried.point - nominal, angles]), found.by_input, {**by_block, **found.by_block})
 
 
-def nominal_tip(machine: Machine, position: Array, tool: Index) -> tuple[Array, Array]:
-    """Return the listed tips on the workpiece (3, n) at commanded positions (axes, n), and the axes of the tool.
+def nominal_tip(machine: Machine, position: Array, vector: Array) -> tuple[Array, Array]:
+    """Return tips on the workpiece (3, n) at commanded positions (axes, n) without errors, and the axes of the tool.
 
-    The axes are the columns of (3, 3, n). `tool` is the number of the tool of each position, in the list.
+    The axes are the columns of (3, 3, n). `vector` are the tool vectors, (3, n) or (3, 1).
     """
     n = position.shape[1]
     none = np.zeros((ROWS, n))
     places = {axis.location: np.zeros(3 if axis.location == SQUARENESS else 5) for axis in machine.axes}
     motions = [axis.motion(own, none, places[axis.location]) for axis, own in zip(machine.axes, position, strict=True)]
-    carried = _carried(motions, [(axis, False) for axis in machine.order], machine.tools[tool].T)
+    carried = _carried(motions, [(axis, False) for axis in machine.order], np.broadcast_to(vector, (3, n)))
     return carried.point, carried.rotation
 
 
@@ -232,18 +232,22 @@ def motion(machine: Machine) -> tuple[Link, ...]:
     return (Undisturbed(machine), TipMotion(machine) if machine.turns else ErrorMotion(machine))
 
 
-def reach(machine: Machine, seen_from: str = "workpiece", workpiece: bool = False) -> Chain:
+def reach(
+    machine: Machine, seen_from: str = "workpiece", workpiece: bool = False, estimated: Sequence[str] = ()
+) -> Chain:
     """Return the chain to a reflector at the tool of a machine, or with `workpiece` to some on the workpiece too.
 
-    Where axes turn it decides what the instrument stands on, the bed or the workpiece.
+    Where axes turn it decides what the instrument stands on, the bed or the workpiece; `estimated` are the letters of
+    axes whose positions are unknowns.
     """
     if not machine.turns:
         return Chain((Undisturbed(machine), ErrorMotion(machine), ReachedPoint()))
     to = FromBed(machine, workpiece) if seen_from == "bed" else OnWorkpiece(machine)
-    return Chain((Undisturbed(machine), to))
+    given = [EstimatedPositions(machine, tuple(estimated))] if estimated else []
+    return Chain((Undisturbed(machine), *given, to))
 
 
-LINKS = (Undisturbed, ErrorMotion, ReachedPoint, FromBed, OnWorkpiece)
+LINKS = (Undisturbed, EstimatedPositions, ErrorMotion, ReachedPoint, FromBed, OnWorkpiece)
 """The links of a machine on the way to a point"""
 
 

@@ -52,13 +52,20 @@ def errors_by_word(chain: Sequence[str]) -> dict[str, tuple[str, ...]]:
     The zero position of a rotary axis is 0 by definition, except of a head that carries the tool, where it is the tilt
     of the spindle in that plane; then two angles of the spindle are unknown too. All other tools have the machine's
     axes. Of tables alone, with nothing that moves the tool, the axis next to the bed is the frame: it has no location.
+    Of heads alone, a mount, likewise; along it and about it nothing says where the other axis or the tool is.
     """
     linear, turning = ([name for name in kind if name in chain] for kind in (AXES, ANGLES))
     carries = chain[-1] if chain[-1] in ANGLES else ""
-    frame = chain[-2] if chain[-1] == "b" and not linear else ""
+    mount = chain[0] == "b" and not linear
+    frame = chain[1] if mount else chain[-2] if chain[-1] == "b" and not linear else ""
     placed = [letter for letter in turning if letter != frame]
-    places = [name for letter in placed for name in location_names(letter)[: 5 if letter == carries else 4]]
-    places += [name for name in SPINDLE_NAMES if carries and name[1] != carries]
+    places = [
+        name for letter in placed for name in location_names(letter)[: 5 if letter == carries and not mount else 4]
+    ]
+    if mount:
+        places = [name for name in places if name[1] not in (frame, AXES[ANGLES.index(frame)])]
+    else:
+        places += [name for name in SPINDLE_NAMES if carries and name[1] != carries]
     tables = {letter: errors_of(letter) for letter in (*linear, *turning)}
     words = {
         "linear": tuple(name for letter in linear for name in tables[letter]),

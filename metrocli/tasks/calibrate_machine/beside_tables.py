@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from metrocli.adjust.solution import Solution
+from metrocli.instruments.axes.error_motion import POSITIONS
 from metrocli.instruments.axes.kinematics import ON_WORKPIECE
 from metrocli.instruments.axes.rotary import RotaryAxis
 from metrocli.instruments.machine import ANGLES, Machine
@@ -62,6 +63,21 @@ def tracker(solution: Solution) -> dict[str, Table]:
     units = ["mm"] * 3 + ["rad"] * 3
     columns = {"parameter": block.columns, "value": block.values[0], "std": std, "unit": units}
     return {"tracker": Table.of(columns)}
+
+
+def positions(solution: Solution) -> dict[str, Table]:
+    """Return how far rotary axes turned beyond their positions, where these are estimated."""
+    names = [name for name in POSITIONS if name in solution.blocks]
+    if not names:
+        return {}
+    blocks, std = [solution.blocks[name] for name in names], [solution.std(name)[:, 0] for name in names]
+    columns = {
+        "axis": [block.name[-1] for block in blocks for _ in block.members],
+        "position [text]": [member for block in blocks for member in block.members],
+        "beyond [rad]": np.concatenate([block.values[:, 0] for block in blocks]),
+        "std [rad]": np.concatenate(std),
+    }
+    return {"positions": Table.of(columns)}
 
 
 def stations(solution: Solution) -> dict[str, Table]:

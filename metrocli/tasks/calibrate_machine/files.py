@@ -18,6 +18,7 @@ _SIDES = "from_x? from_y? from_z? from_a? from_b? from_c?"
 POINTS = Columns(
     columns(
         "point [text]",
+        "run? [text]",
         *AXES,
         "mx? my? mz? distance? [length]",
         "azimuth? elevation? [angle]",
@@ -117,6 +118,9 @@ class Files:
         FileOf(("calibrate-machine",)), "an earlier result of the machine, for what is not estimated", needed=False
     )
     reflectors: Table | None = content(TableFile(REFLECTORS), "reflectors, on workpiece or tool", needed=False)
+    network: Result | None = content(
+        FileOf(("adjust-network",)), "standstill: the network that measured the points", needed=False
+    )
 
     @property
     def listed_stations(self) -> Table | None:

@@ -14,6 +14,7 @@ from metrocli.tasks.shared.part import Warm
 VECTOR = ListOf(WithUnit("length"), 3)
 _TURN = 2 * np.pi
 UNKNOWN = "unknown"
+GIVEN, ESTIMATED = "given", "estimated"
 _ROUNDING = 1e-9
 _EXAMPLE = "{range: [0 deg, 360 deg], knots: 13, at: [0 mm, 0 mm, -560 mm]}"
 
@@ -46,6 +47,9 @@ class RotarySettings:
     )
     periodic: bool | None = setting(
         Flag(), "whether it takes any turn (default: if its range is 0 to 360 deg)", default=None
+    )
+    positions: str = setting(
+        Choice(GIVEN, ESTIMATED), "standstill: whether its positions are as the file has them, or estimated", GIVEN
     )
 
     @property

@@ -19,7 +19,7 @@ from metrocli.effects.modelled import Modelled
 from metrocli.effects.wanted import Wanted
 from metrocli.errors import InputError
 from metrocli.frozen import dataclass
-from metrocli.instruments.axes.error_motion import Undisturbed
+from metrocli.instruments.axes.error_motion import POSITIONS, Undisturbed
 from metrocli.instruments.axes.kinematics import LINKS, ON_WORKPIECE
 from metrocli.instruments.axes.rotary import SPINDLE
 from metrocli.instruments.machine import ANGLES, AXES, POSITION, SQUARENESS, TOOL, Machine
@@ -236,7 +236,9 @@ ERROR_BLOCKS = (
     TOOL,
 )
 """Names of the blocks on which the predicted error of a point depends"""
-BLOCKS = (*ERROR_BLOCKS, TRACKER, LEG, LINE, TRACER, STOP, AIR, ON_WORKPIECE)
+NETWORK = "errors of the network"
+"""Name of the block of errors that points have in common, where a network measured them"""
+BLOCKS = (*ERROR_BLOCKS, TRACKER, LEG, LINE, TRACER, STOP, AIR, ON_WORKPIECE, NETWORK, *POSITIONS)
 """Names of the blocks of machine and instruments; all other blocks are effects"""
 REVERSALS = ("xy", "xz", "yx", "yz", "zx", "zy")
 """Places of reversals: the axis that turns, and the axis along which the point is shifted"""

@@ -17,10 +17,19 @@ from metrocli.instruments.machine import SQUARENESS, SQUARENESS_NAMES, TOOL
 from metrocli.result import Estimate, Result, ShownTable
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine import KIND
+from metrocli.tasks.calibrate_machine.acceptance.mount import mount
 from metrocli.tasks.calibrate_machine.acceptance.paths import paths
 from metrocli.tasks.calibrate_machine.acceptance.rotary_motion import rotary_motion
 from metrocli.tasks.calibrate_machine.acceptance.runs import positioning_of
-from metrocli.tasks.calibrate_machine.beside_tables import entries, lines, on_workpiece, rotary_axes, stations, tracker
+from metrocli.tasks.calibrate_machine.beside_tables import (
+    entries,
+    lines,
+    on_workpiece,
+    positions,
+    rotary_axes,
+    stations,
+    tracker,
+)
 from metrocli.tasks.calibrate_machine.problem import PLACES_OF_AXES
 from metrocli.tasks.calibrate_machine.rank.identifiability import Identifiability
 from metrocli.tasks.calibrate_machine.settings import Settings
@@ -63,6 +72,7 @@ def report(solved: AdjustedMachine, settings: Settings, noise: NoiseFound, liste
     identified = solved.identified
     effect_tables, effect_arrays = effect_results(added, solution)
     hidden = uncontrolled(solved, tables, settings)
+    where = mount(solved.problem.machine, solution)
     turning, along = rotary_motion(tables, _known(identified)), paths(tables, solved, settings, listed)
     volume = {}
     if not solved.problem.displacement_only:
@@ -90,6 +100,8 @@ def report(solved: AdjustedMachine, settings: Settings, noise: NoiseFound, liste
             **tracker(solution),
             **lines(solution),
             **stations(solution),
+            **where,
+            **positions(solution),
             **figures,
             **volume,
             "residuals": _residuals(solved),
@@ -105,7 +117,7 @@ def report(solved: AdjustedMachine, settings: Settings, noise: NoiseFound, liste
         shown=(
             ShownTable("errors", ("error", "status", "with", "largest", "largest_std", "unit")),
             ShownTable("volumetric"),
-            *map(ShownTable, (*turning, *list(along)[:1], *figures)),
+            *map(ShownTable, (*where, *turning, *list(along)[:1], *figures)),
             *([ShownTable("suspects")] if len(solved.suspects.rows) else []),
         ),
         notes=(*_notes(solved, settings, noise), *in_words(hidden)),
@@ -225,13 +237,14 @@ def _tools(solved: AdjustedMachine, solution: Solution) -> Table:
     block = solution.blocks[TOOL]
     std = solution.std(TOOL) if block.free.any() else np.zeros(block.values.shape)
     used, open_ones = solved.problem.tools_used, solved.identified.open_tools
+    listed = block.members[: len(solved.problem.machine.tools)]
     return Table.of(
         {
             "tool": tool_names(solution.blocks),
             "x y z [mm]": block.values,
             "sx sy sz [mm]": std,
             "measured": [name in used for name in block.members],
-            "predictable": [name not in open_ones for name in block.members],
+            "predictable": [name in listed and name not in open_ones for name in block.members],
         }
     )
 

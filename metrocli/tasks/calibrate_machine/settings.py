@@ -10,7 +10,7 @@ from metrocli.instruments.axes.rotary import LOCATIONS, ROTARY_NAMES, SPINDLE_NA
 from metrocli.instruments.machine import ALL_NAMES, ANGLES, AXES, SQUARENESS_NAMES, canonical, is_angle
 from metrocli.settings import Choice, Either, Flag, ListOf, Section, Whole, WithUnit, setting
 from metrocli.tasks.calibrate_machine.files import Inputs
-from metrocli.tasks.calibrate_machine.machine_settings import VECTOR, MachineSettings
+from metrocli.tasks.calibrate_machine.machine_settings import ESTIMATED, VECTOR, MachineSettings
 from metrocli.tasks.calibrate_machine.plans.wanted import PathPlan
 from metrocli.tasks.shared.environment import Environment
 from metrocli.tasks.shared.figures import adjusted
@@ -35,8 +35,11 @@ _OPTIONAL = {
     "distances": TURNING,
     "machine": TURNING,
     "paths": TURNING,
+    "network": (STANDSTILL,),
 }
 """Further inputs, and the methods that take them"""
+_OF_ANY_CHAIN = ("stations", "network")
+"""Those that machines without rotary axes take too"""
 _NOISE = {
     STANDSTILL: ("beam",),
     ON_THE_FLY: ("beam",),
@@ -168,7 +171,9 @@ class Settings:
     method: str = setting(Choice(ON_THE_FLY, STANDSTILL, SIX_DOF, LENGTHS, PROBING), "how the machine was measured")
     machine: MachineSettings = setting(Section(MachineSettings), "axes and tools")
     inputs: Any = setting(Section(Inputs), "the files of the job")
-    noise: MachineNoise = setting(Section(MachineNoise), "standard deviations of the readings")
+    noise: MachineNoise = setting(
+        Section(MachineNoise), "standard deviations of the readings; points of a network have theirs", MachineNoise()
+    )
     estimate: str | tuple[str, ...] = setting(
         Either(Choice(*WORDS), ListOf(Choice(*ALL_NAMES, "COY", "BOZ", "AOZ", *ROTARY_NAMES, *WORDS), distinct=True)),
         "errors to estimate; the others are taken as zero",
@@ -234,7 +239,7 @@ class Settings:
         for key, methods in _OPTIONAL.items():
             if getattr(self.inputs, key) is not None and self.method not in methods:
                 yield f"inputs.{key}", f"method {self.method} does not use the input '{key}'"
-            elif getattr(self.inputs, key) is not None and key != "stations" and not self.machine.turns:
+            elif getattr(self.inputs, key) is not None and key not in _OF_ANY_CHAIN and not self.machine.turns:
                 yield f"inputs.{key}", f"the chain {self.machine.chain} has no rotary axis: leave '{key}' out"
         if self.method == PROBING and not self.machine.turns:
             yield "method", "probing calibrates rotary axes: name them in the chain, such as wCAbXYZt"
@@ -255,16 +260,28 @@ class Settings:
             yield "machine.axes", "no axis is given: write e.g. `x: {range: [0 mm, 600 mm], knots: 13}`"
         elif missing and self.method != SIX_DOF:
             yield "machine.axes", f"method {self.method} needs all three axes; {' and '.join(missing)} are missing"
-        for key in _NOISE[self.method]:
-            if getattr(self.noise, key) is None:
-                yield "noise", f"method {self.method} needs the noise '{key}'"
-        if self.method in (STANDSTILL, ON_THE_FLY) and self.noise.lateral is None and self.noise.radial is None:
-            yield "noise", f"method {self.method} needs the noise 'lateral'"
+        for letter, axis in self.machine.axes.turning.items():
+            if axis.positions == ESTIMATED and self.method != STANDSTILL:
+                where = f"machine.axes.{letter.lower()}.positions"
+                yield where, f"method {self.method} takes positions as the file has them; standstill can estimate them"
+        yield from self._faults_of_noise()
         if self.positioning != Positioning() and self.method != SIX_DOF:
             yield "positioning", f"method {self.method} has no figures of ISO 230-2: leave this key out"
         for key, what in (("scale", "scales of tracking interferometers"), ("environment", "lengths to correct")):
             if getattr(self, key) is not None and self.method != LENGTHS:
                 yield key, f"method {self.method} has no {what}: leave this key out"
+
+    def _faults_of_noise(self) -> Iterator[tuple[str, str]]:
+        """Yield a fault for each standard deviation that the readings need and lack; a network has its own."""
+        if self.inputs.network is not None:
+            if self.noise != MachineNoise():
+                yield "noise", "the points have the covariance of their network: leave this key out"
+            return
+        for key in _NOISE[self.method]:
+            if getattr(self.noise, key) is None:
+                yield "noise", f"method {self.method} needs the noise '{key}'"
+        if self.method in (STANDSTILL, ON_THE_FLY) and self.noise.lateral is None and self.noise.radial is None:
+            yield "noise", f"method {self.method} needs the noise 'lateral'"
 
 
 _STATISTICS = (

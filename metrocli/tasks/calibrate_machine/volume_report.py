@@ -29,7 +29,7 @@ def volume_tables(
 ) -> dict[str, Table]:
     """Return the error of each tool on a grid, and the diagonal and circular tests of the first tool."""
     position = grid_of(tables.machine, wanted.counts(len(tables.machine.axes)))
-    tools = tables.blocks[TOOL].members
+    tools = tables.blocks[TOOL].members[: len(tables.machine.tools)]
     grids = [_on_grid(tables, position, i, name in identified.open_tools) for i, name in enumerate(tools)]
     shown = {
         "volumetric": _summary(grids, tools, measured),

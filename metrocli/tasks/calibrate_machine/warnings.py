@@ -137,6 +137,9 @@ def identifiability_notes(identified: Identifiability) -> list[str]:
         lines.append(f"  {name}: {'only together with ' + ' '.join(partners) if partners else 'not at all'}")
     if not identified.undetermined:
         lines.append("  every error is determined")
+    if identified.zeros:
+        given = "is as given and says" if len(identified.zeros) == 1 else "are as given and say"
+        lines.append(f"  {listed(identified.zeros)} {given} where the axes are at 0: no reading shows it")
     return lines
 
 

@@ -4,16 +4,21 @@ from __future__ import annotations
 
 import numpy as np
 
+from metrocli.adjust.model.chain import Chain
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Observations
 from metrocli.arrays import Array
 from metrocli.errors import Fault, InputError
+from metrocli.instruments.axes.error_motion import FAR_OFF
 from metrocli.instruments.axes.kinematics import reach
 from metrocli.instruments.axes.rotary import gauge
 from metrocli.instruments.tracker import FACE, POLAR, TRACKER, TrackerNoise, cartesian, point_chain, tracker_block
+from metrocli.result import Result
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine.described import commanded, error_blocks, machine_of, must_support
 from metrocli.tasks.calibrate_machine.files import NO_FILES, Files
+from metrocli.tasks.calibrate_machine.methods.of_network import NONE, NetworkErrors, measured_in
+from metrocli.tasks.calibrate_machine.methods.positions import positions_of
 from metrocli.tasks.calibrate_machine.methods.targets import BED, targets, with_distances
 from metrocli.tasks.calibrate_machine.methods.track import tracker_pose
 from metrocli.tasks.calibrate_machine.problem import MachineProblem, conditions, model_of
@@ -46,8 +51,9 @@ def standstill(settings: Settings, points: Table, files: Files = NO_FILES) -> Ma
     machine = machine_of(settings)
     blocks = error_blocks(machine, settings)
     position = commanded(machine, points)
+    poses = positions_of(settings, machine, position, points)
     found = with_distances(targets(settings, blocks, points, files.reflectors), files.distances)
-    measured, covariance = _measured(settings, points)
+    measured, covariance, network = _measured(settings, points, files.network)
     if position.shape[1] < 4:
         raise InputError(
             [Fault(f"{position.shape[1]} points are too few to determine the pose of the tracker", points.file)]
@@ -55,11 +61,11 @@ def standstill(settings: Settings, points: Table, files: Files = NO_FILES) -> Ma
     must_support(machine, position, blocks)
     on = settings.instrument.on
     places = found.places(machine, position, on)
-    pose = tracker_pose(measured, places, points.file, machine.turns)
+    pose = tracker_pose(measured, places, points.file, machine.turns, *([FAR_OFF] if poses.letters else []))
     observations = Observations(
         measured,
         np.ones(1),
-        machine.index(position) | found.index,
+        {**machine.index(position), **found.index, **network.index, **poses.index},
         covariance=covariance,
         keys={"point": tuple(points.texts("point"))},
         conditions=conditions(machine, position, points, places if machine.turns else None)
@@ -68,11 +74,13 @@ def standstill(settings: Settings, points: Table, files: Files = NO_FILES) -> Ma
         components=("x", "y", "z"),
         unit="mm",
     )
-    readings = Group(READINGS, point_chain(reach(machine, on, found.workpiece)), observations)
+    chain = point_chain(reach(machine, on, found.workpiece, poses.letters))
+    readings = Group(READINGS, Chain((*chain.links, *network.links)), observations)
     names = list(settings.tools)
-    unknowns = {**blocks, **found.blocks, TRACKER: tracker_block(pose, min(settings.machine.tool_std, _VAGUE))}
+    unknowns = {**blocks, **found.blocks, **network.blocks, **poses.blocks}
+    unknowns[TRACKER] = tracker_block(pose, max(min(settings.machine.tool_std, _VAGUE), network.std))
     return MachineProblem(
-        model_of(unknowns, readings, (*found.others, *gauge(machine, unknowns))),
+        model_of(unknowns, readings, (*found.others, *network.others, *gauge(machine, unknowns))),
         machine,
         np.ones(position.shape[1]),
         found.used(names),
@@ -81,11 +89,13 @@ def standstill(settings: Settings, points: Table, files: Files = NO_FILES) -> Ma
     )
 
 
-def _measured(settings: Settings, points: Table) -> tuple[Array, Array]:
-    """Return measured points (3, n) in the tracker's frame with their covariance, from coordinates or polar readings.
+def _measured(settings: Settings, points: Table, network: Result | None) -> tuple[Array, Array, NetworkErrors]:
+    """Return measured points (3, n) in the instrument's frame with their covariance, and what a network adds to it.
 
-    Raises InputError if the file has neither.
+    They are those of a network, coordinates or polar readings. Raises InputError if the file has none of these.
     """
+    if network is not None:
+        return measured_in(network, points)
     if all(name in points for name in CARTESIAN):
         measured = points.stacked(CARTESIAN).T
     elif all(name in points for name in POLAR):
@@ -94,4 +104,4 @@ def _measured(settings: Settings, points: Table) -> tuple[Array, Array]:
         missing = next(name for name in CARTESIAN if name not in points)
         hint = "measured places are mx_mm, my_mm, mz_mm, or distance_mm, azimuth_deg, elevation_deg"
         raise InputError([points.fault(f"the column '{missing}_mm' is missing", hint)])
-    return measured, tracker_noise(settings).covariance(measured)
+    return measured, tracker_noise(settings).covariance(measured), NONE

@@ -98,11 +98,12 @@ class MeasuredTargets:
 
     def places(self, machine: Machine, position: Array, seen_from: str) -> Array:
         """Return the nominal places of the targets (3, n), in the axes of the body the instrument stands on."""
+        vector = self.blocks[TOOL].values[self.tool].T
         if not machine.turns:
-            return np.asarray(position + self.blocks[TOOL].values[self.tool].T)
+            return np.asarray(position + vector)
         if seen_from == WORKPIECE:
-            return nominal_tip(machine, position, self.tool)[0]
-        at_tool = seen_from_bed(machine, position, machine.tools[self.tool].T, True)
+            return nominal_tip(machine, position, vector)[0]
+        at_tool = seen_from_bed(machine, position, vector, True)
         if not self.workpiece:
             return at_tool
         fixed = seen_from_bed(machine, position, self.blocks[ON_WORKPIECE].values[self.fixed].T, False)

@@ -137,7 +137,7 @@ def _balls(settings: Settings) -> Table:
         centre, along = np.array(nearest.at), nearest.number
     else:
         middle = ((machine.low + machine.high) / 2)[:, None]
-        centre, along = nominal_tip(machine, middle, np.zeros(1, dtype=np.intp))[0][:, 0], 2
+        centre, along = nominal_tip(machine, middle, machine.tools[:1].T)[0][:, 0], 2
     radius = _RADIUS * min(float(np.ptp(axis.knots)) for axis in machine.axes if axis.letter in AXES)
     turns = 2 * np.pi * np.arange(len(_HEIGHTS)) / len(_HEIGHTS)
     places: Array = np.repeat(centre[None], len(_HEIGHTS), axis=0)

@@ -14,7 +14,7 @@ from metrocli.arrays import Array
 from metrocli.instruments.axes.rotary import Combinations
 from metrocli.instruments.machine import TOOL
 from metrocli.instruments.tracer import AIR, STOP
-from metrocli.tasks.calibrate_machine.problem import MachineProblem
+from metrocli.tasks.calibrate_machine.problem import NETWORK, MachineProblem
 from metrocli.tasks.calibrate_machine.volume import rows_over_volume
 
 _LOOSE = 1e6
@@ -30,7 +30,7 @@ def worst_ratio(problem: MachineProblem) -> float:
     inf if J is rank deficient.
     """
     blocks = {name: _without(block, problem.given) for name, block in problem.blocks.items()}
-    names = [name for name, block in blocks.items() if block.free.any() and name not in (TOOL, STOP, AIR)]
+    names = [name for name, block in blocks.items() if block.free.any() and name not in (TOOL, STOP, AIR, NETWORK)]
     unknowns = unknowns_of(blocks, names)
     if unknowns.size == 0:
         return 0.0

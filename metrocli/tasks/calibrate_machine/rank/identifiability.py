@@ -21,12 +21,13 @@ from metrocli.adjust.model.groups import Group
 from metrocli.arrays import Array, Index
 from metrocli.errors import UndeterminedError
 from metrocli.frozen import dataclass
+from metrocli.instruments.axes.error_motion import POSITIONS
 from metrocli.instruments.axes.rotary import RotaryAxis
 from metrocli.instruments.machine import ANGLES, TOOL, Machine, errors_of
 from metrocli.instruments.tracer import STOP
 from metrocli.tasks.calibrate_machine.described import error_names
 from metrocli.tasks.calibrate_machine.methods.targets import met_again
-from metrocli.tasks.calibrate_machine.problem import MachineProblem
+from metrocli.tasks.calibrate_machine.problem import NETWORK, MachineProblem
 from metrocli.tasks.calibrate_machine.rank.amplification import worst_ratio
 from metrocli.tasks.calibrate_machine.rank.open_directions import OpenDirections, in_words
 from metrocli.tasks.calibrate_machine.tables import Determination
@@ -92,9 +93,18 @@ class Identifiability:
     @cached_property
     def open_tools(self) -> tuple[str, ...]:
         """Tools of the job whose error cannot be predicted, since it depends on undetermined errors."""
-        tools = self.opened.blocks[TOOL].members
+        tools = self.opened.blocks[TOOL].members[: len(self.problem.machine.tools)]  # then come reflectors
         return tuple(
             tool for tool in tools if np.abs(_moved(self.problem, self.opened, tool)).max(initial=0.0) > _HARMLESS
+        )
+
+    @property
+    def zeros(self) -> tuple[str, ...]:
+        """Estimated positions that no reading shows: they stay as given, and say where their axis is 0."""
+        names = [name for name in POSITIONS if name in self.blocks]
+        held = {name: self.opened.blocks[name].free & ~self.blocks[name].free for name in names}
+        return tuple(
+            f"{name[-1]} at {self.blocks[name].members[row]}" for name in names for row in np.flatnonzero(held[name])
         )
 
     @property
@@ -114,7 +124,7 @@ def identify(problem: MachineProblem) -> Identifiability:
     Raises UndeterminedError if an open direction moves a measured tool in the volume.
     """
     blocks = problem.blocks
-    names = [name for name, block in blocks.items() if block.free.any() and name != STOP]
+    names = [name for name, block in blocks.items() if block.free.any() and name not in (STOP, NETWORK)]
     unknowns = unknowns_of(blocks, names)
     reach = unknowns.reach(blocks)
     matrix = normal_matrix(at_knots(problem), blocks, unknowns)
@@ -130,10 +140,12 @@ def identify(problem: MachineProblem) -> Identifiability:
 def at_knots(problem: MachineProblem) -> tuple[Group, ...]:
     """Return the groups of a problem as if all rotary axes had stood at the knots below, and again at those above.
 
-    Tables are straight between knots, but levers turn. So readings between knots seem to determine, by hundreds of
-    micrometres, what no such readings at knots determine, and the error of the interpolation is magnified as much.
+    Axes whose tables are not estimated stand where they stood. Tables are straight between knots, but levers turn. So
+    readings between knots seem to determine, by hundreds of micrometres, what no such readings at knots determine, and
+    the error of the interpolation is magnified as much.
     """
-    turning = [axis for axis in problem.machine.axes if isinstance(axis, RotaryAxis)]
+    machine, blocks = problem.machine, problem.blocks
+    turning = [axis for axis in machine.axes if isinstance(axis, RotaryAxis) and blocks[axis.block].free.any()]
     readings = problem.readings
     others = tuple(group for group in problem.groups if group.name != readings.name)
     if not turning:
@@ -173,8 +185,9 @@ def _hold(opened: OpenDirections, machine: Machine) -> tuple[dict[str, Block], t
     """
     directions, blocks, undetermined = opened.directions, dict(opened.blocks), []
     names = opened.unknowns.names(opened.blocks)
-    for name in _preference(machine):
-        at = opened.rows_of[name]
+    # positions come first: one that no reading shows is the zero of its axis, and no error of the machine
+    positions = np.flatnonzero([block in POSITIONS for block, _, _ in names])
+    for name, at in [("", positions), *((name, opened.rows_of[name]) for name in _preference(machine))]:
         if directions.shape[1] == 0 or at.size == 0 or np.abs(directions[at]).max() < _TOUCHED:
             continue
         chosen, directions = _taken(directions, at)
@@ -183,7 +196,7 @@ def _hold(opened: OpenDirections, machine: Machine) -> tuple[dict[str, Block], t
             free = np.array(blocks[block].free)
             free[blocks[block].members.index(member), blocks[block].column(column)] = False
             blocks[block] = replace(blocks[block], free=free)
-        undetermined.append(name)
+        undetermined += [name] if name else []
     return blocks, tuple(undetermined)
 
 
