@@ -41,13 +41,18 @@ _SUPPORT = 0.02
 def machine_of(settings: Settings) -> Machine:
     """Return the machine with equally spaced knots that the settings describe.
 
-    Methods that read linear axes alone have it without its rotary axes, which are at rest.
+    Methods that read linear axes alone have it without its rotary axes, which are at rest; lines along rotary axes have
+    it without the others.
     """
-    machine = settings.machine
+    machine, tools = settings.machine, np.array(list(settings.tools.values()))
+    if settings.angular:
+        named = machine.axes.turning.items()
+        alone = tuple(_turning(name, axis, False) for name, axis in named if f"E{name}{name}" in settings.estimated)
+        return Machine(tuple(range(len(alone))), alone, tools=tools)
     if not machine.turns or settings.method not in TURNING:
         given, rest = machine.axes.given, AxisSettings((0.0, 100.0), 2)  # an axis not given stands still
         axes = tuple(_linear(letter, given.get(letter, rest)) for letter in AXES)
-        return Machine(axis_order(machine.chain), axes, tools=np.array(list(settings.tools.values())))
+        return Machine(axis_order(machine.chain), axes, tools=tools)
     letters = machine.letters
     bed = letters.index("b")
     linear = [_linear(letter, machine.axes.given[letter]) for letter in AXES if letter in letters]
@@ -58,7 +63,7 @@ def machine_of(settings: Settings) -> Machine:
     ]
     axes = (*linear, *turning)
     order = tuple([axis.letter for axis in axes].index(letter) for letter in letters if letter != "b")
-    return Machine(order, axes, bed, np.array(list(settings.tools.values())))
+    return Machine(order, axes, bed, tools)
 
 
 def _linear(letter: str, axis: AxisSettings) -> Axis:
@@ -67,7 +72,7 @@ def _linear(letter: str, axis: AxisSettings) -> Axis:
 
 def _turning(letter: str, axis: RotarySettings, head: bool) -> RotaryAxis:
     knots = np.linspace(*axis.range, axis.knots)
-    return RotaryAxis(letter, knots, axis.at, axis.sense, axis.any_turn, head)
+    return RotaryAxis(letter, knots, axis.at or (0.0, 0.0, 0.0), axis.sense, axis.any_turn, head)
 
 
 def error_names(machine: Machine) -> tuple[str, ...]:
@@ -165,11 +170,11 @@ def _wrapped(axis: Axis, position: Array) -> Array:
     return axis.wrapped(position) if isinstance(axis, RotaryAxis) else position
 
 
-def placed(axis: Axis, position: float, unit: str | None = None) -> str:
+def placed(axis: Axis, position: float, unit: str | None = None, decimals: int = 9) -> str:
     """Return a position of an axis as people write it: `12 mm`, `-90 deg`."""
     turns = isinstance(axis, RotaryAxis)
     own = ("deg" if turns else "mm") if unit is None else unit
-    return f"{float(np.degrees(position)) if turns else float(position):g} {own}".strip()
+    return f"{round(float(np.degrees(position)) if turns else float(position), decimals) + 0.0:g} {own}".strip()
 
 
 def must_support(machine: Machine, position: Array, blocks: Mapping[str, Block]) -> None:

@@ -42,17 +42,17 @@ TRACK = Columns(
 LINES = Columns(
     columns(
         "line axis [text]",
-        "position [length]",
+        "position? [length]",
         "ex?* ey?* ez?* [length]",
         "ea?* eb?* ec?* [angle]",
-        "x? y? z? [length]",
+        *AXES,
         "t? [time]",
         "temp? [temperature]",
     ),
     (),
-    "lines of a laser with six degrees of freedom, or the displacement along single axes only",
+    "lines of a laser with six degrees of freedom, or what is read of the positioning of single axes alone",
     measured=("ex", "ey", "ez", "ea", "eb", "ec"),
-    alike=("axis", "position"),
+    alike=("axis", "position", "a", "b", "c"),
     group=("line",),
 )
 

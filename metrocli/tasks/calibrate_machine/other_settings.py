@@ -30,6 +30,8 @@ _Other = tuple[Mistake, MachineSettings]
 def other_settings(job: Job[Settings, Files], fits: bool) -> Iterator[tuple[Mistake, Job[Settings, Files]]]:
     """Yield what may be wrong in the settings, with the job that is right then; nothing if a declared noise fits."""
     noise = job.settings.noise
+    if job.settings.angular:
+        return
     if fits and noise.model == DECLARED and noise.repeatability != ESTIMATED:
         return
     listed = job.settings.machine
@@ -59,9 +61,9 @@ def _rotary(machine: MachineSettings) -> Iterator[_Other]:
         key, where = letter.lower(), f"machine.axes.{letter.lower()}"
         mistake = Mistake(f"{where}.sense", f"{letter} counts the other way", f"sense: {-axis.sense}")
         yield mistake, _with_axis(machine, key, replace(axis, sense=-axis.sense))
-        for at, size in enumerate(axis.at):
+        for at, size in enumerate(axis.at or ()):
             if size:
-                place = tuple(-coordinate if k == at else coordinate for k, coordinate in enumerate(axis.at))
+                place = tuple(-coordinate if k == at else coordinate for k, coordinate in enumerate(axis.at or ()))
                 words = f"{'xyz'[at]} of the place of {letter} has the wrong sign"
                 written = ", ".join(f"{coordinate:g} mm" for coordinate in place)
                 mistake = Mistake(f"{where}.at", words, f"at: [{written}]")

@@ -28,6 +28,7 @@ from metrocli.words import listed
 WEAK = 10.0
 """Above this ratio of volume error to misfit, a good fit does not ensure a small error in the volume"""
 _TOOL = units.parse_quantity("0.1 mm", "length")
+_ARCSEC, _AWAY = units.parse_quantity("1 arcsec", "angle"), units.parse_quantity("300 mm", "length")
 _STEEL = units.parse_quantity("11.5 ppm", "ratio")
 
 
@@ -53,7 +54,7 @@ def machine_warnings(solved: AdjustedMachine, settings: Settings, more: Sequence
         lines.append(
             f"the error of tool {listed(identified.open_tools)} cannot be predicted: it depends on undetermined errors"
         )
-    if identified.ratio > WEAK:
+    if identified.ratio > WEAK and not solved.problem.positioning_alone:
         size = f"{identified.ratio:.0f}" if math.isfinite(identified.ratio) else "any number of"
         lines.append(
             f"in the worst case the error in the volume is {size} times the misfit of the readings: "
@@ -129,8 +130,7 @@ def identifiability_notes(identified: Identifiability) -> list[str]:
     """Return lines of text on what the measurement determines: rank, worst ratio, and undetermined errors."""
     lines = [
         "",
-        f"rank {identified.rank} of {identified.unknowns} unknowns; "
-        f"worst ratio of volume error to misfit {_ratio(identified)}",
+        f"rank {identified.rank} of {identified.unknowns} unknowns{_ratio(identified)}",
     ]
     for name in identified.undetermined:
         partners = identified.partners[name]
@@ -141,7 +141,11 @@ def identifiability_notes(identified: Identifiability) -> list[str]:
 
 
 def _ratio(identified: Identifiability) -> str:
-    return f"{identified.ratio:.1f}" if math.isfinite(identified.ratio) else units.NOT_DETERMINED
+    """Return what a misfit can mean in the volume; empty where only the positioning of single axes is known."""
+    if identified.problem.positioning_alone:
+        return ""
+    ratio = f"{identified.ratio:.1f}" if math.isfinite(identified.ratio) else units.NOT_DETERMINED
+    return f"; worst ratio of volume error to misfit {ratio}"
 
 
 def uncontrolled(solved: AdjustedMachine, tables: Tables, settings: Settings) -> Table:
@@ -167,6 +171,14 @@ def _senses(tables: Tables, settings: Settings) -> Iterator[Hidden]:
 
 def _hidden(solved: AdjustedMachine, tables: Tables, scales: Mapping[str, Warm]) -> Iterator[Hidden]:
     machine = tables.machine
+    if solved.problem.positioning_alone and machine.turns:
+        yield Hidden(
+            "division and centring of indexer, polygon or mirror (what turns with it is taken for errors of the axis)",
+            "1 arcsec, at 300 mm from the axis",
+            _ARCSEC * _AWAY,
+            "the same test with the indexer or the polygon turned on the table by some of its steps",
+        )
+        return
     diagonal = machine.diagonal
     if not blocks_of(solved.solution):
         yield Hidden(

@@ -82,6 +82,8 @@ class _Trial:
     def uncertainty(self) -> float:
         """Standard uncertainty of the error vector over the volume, of the worst tool that is measured [mm]."""
         volume = self.worth.volumetric
+        if volume is None:
+            raise ValueError("poses predict the volume")
         return float(volume.numbers("uncertainty")[volume.columns["measured"].astype(bool)].max())
 
 
