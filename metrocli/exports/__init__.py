@@ -68,8 +68,24 @@ FORMATS: dict[str, ExportFormat] = {
 }
 
 
+def _of_rotary_axes(name: str, files: Callable[..., Exported], result: Result) -> Exported:
+    """Return where the rotary axes lie, and the tables of the positioning, as far as the result determines them."""
+    from metrocli.errors import InputError
+    from metrocli.exports.error_tables import has
+    from metrocli.exports.pivots import OF_CONTROLS, wanted
+    from metrocli.exports.turning_axes import positioning_of
+
+    tables = files(result) if has(result) and positioning_of(result).curves else {}
+    try:
+        return {**OF_CONTROLS[name](result), **tables}
+    except InputError as error:
+        if not tables:
+            raise
+        return {**tables, **({"not-written.txt": f"{error}\n"} if wanted(result) else {})}
+
+
 _OF_PIVOTS = ("fanuc", "heidenhain", "linuxcnc")
-"""Formats that have the lines of the rotary axes of a machine with such"""
+"""Formats that have the lines of the rotary axes of a machine with such, and their positioning"""
 WITHIN = 0.05
 """Largest difference [px] of a camera in a format that can only approach it"""
 
@@ -83,8 +99,6 @@ def export(name: str, result: Result, record: Record | None = None, within: floa
     files: Callable[..., Exported] = getattr(import_module(form.module), form.function)
     doubts = {"doubtful.txt": "\n".join([*result.doubts, ""])} if result.doubts else {}
     if "rotary_axes" in result.tables and name in _OF_PIVOTS:
-        from metrocli.exports.pivots import OF_CONTROLS
-
-        return {**OF_CONTROLS[name](result), **doubts}
+        return {**_of_rotary_axes(name, files, result), **doubts}
     more = (record,) if form.recorded else (within,) if form.nearest else ()
     return {**files(result, *more), **doubts}

@@ -64,6 +64,14 @@ class Pivot:
         return np.where([True, True, directions, directions, True], self.location, 0.0)
 
 
+def wanted(result: Result) -> bool:
+    """Return whether the job estimates where the rotary axes lie."""
+    places = {name for letter in ANGLES for name in location_names(letter)}
+    errors = result.tables["errors"]
+    status = zip(errors.texts("error"), errors.texts("status"), strict=True)
+    return any(name in places and one != "not estimated" for name, one in status)
+
+
 def pivots(result: Result) -> list[Pivot]:
     """Return the rotary axes in their order from workpiece to tool.
 

@@ -122,4 +122,4 @@ def _run(tables: Tables, solved: AdjustedMachine, axis: RotaryAxis, rows: Index)
     knots, values, _ = tables.of(name)
     deviation = np.interp(axis.wrapped(np.radians(targets)), knots, values) + left
     way = slice(None) if position[-1] > position[0] else slice(None, None, -1)
-    return targets[way], deviation[way], float(1 / np.sqrt(weight.min()))
+    return targets[way], axis.sense * deviation[way], float(1 / np.sqrt(weight.min()))

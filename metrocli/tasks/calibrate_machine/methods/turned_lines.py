@@ -37,7 +37,7 @@ def angle_faults(machine: Machine, table: Table, axes: Values, read: tuple[Index
 
 
 def _other_unit(axis: Axis, table: Table, rows: Index, angle: Array) -> Fault | None:
-    """Return a fault if the angles are in radians, degrees or gon instead, and would then suit the axis."""
+    """Return a fault if angles called degrees are in radians or gon, and would then suit the axis."""
     letter, low, high = axis.letter.lower(), float(axis.knots[0]), float(axis.knots[-1])
     heading = table.headings.get(letter, f"{letter}_deg")
     span, range_of, reach = (
@@ -45,12 +45,9 @@ def _other_unit(axis: Axis, table: Table, rows: Index, angle: Array) -> Fault | 
         high - low,
         f"{placed(axis, angle.min())} to {placed(axis, angle.max())}",
     )
-    as_rad, as_deg = np.degrees(angle), np.radians(angle)
     meant = ""
-    if heading.endswith("_deg") and span < _WIDE < range_of and _suits(as_rad, low, high):
+    if heading.endswith("_deg") and span < _WIDE < range_of and _suits(np.degrees(angle), low, high):
         meant = "rad"
-    elif heading.endswith("_rad") and span > 2 * _TURN and _suits(as_deg, low, high):
-        meant = "deg"
     elif heading.endswith("_deg") and abs(span - _GON) < _CLOSE and range_of < _GON - _CLOSE:
         meant = "gon"
     if not meant:
