@@ -25,11 +25,13 @@ from metrocli.tasks.calibrate_machine.methods.planned_lines import (
 from metrocli.tasks.calibrate_machine.methods.poses import in_degrees
 from metrocli.tasks.calibrate_machine.methods.six_dof import six_dof
 from metrocli.tasks.calibrate_machine.plans.planned import PLACES, REST, Worth, planned
+from metrocli.tasks.calibrate_machine.plans.pose_program import any_turn
 from metrocli.tasks.calibrate_machine.plans.stops import judged, visits, worth_or_lack
 from metrocli.tasks.calibrate_machine.plans.wanted import PathPlan
 from metrocli.tasks.calibrate_machine.settings import MachineSimulation, Settings
 from metrocli.tasks.calibrate_machine.warnings import identifiability_notes
 
+_COUNTED = "rotary axes count on through the turn, a little beyond both ends"
 _TITLE, _RESTS = "metrocli lines for calibrate-machine", "a reading in each dwell"
 
 
@@ -61,7 +63,7 @@ def plan_of_lines(settings: Settings, lines: Table | None) -> Plan:
             blocks += _to_and_fro(axis, given, k, wanted.feed)
         else:
             blocks += visits(given.position[:, given.of == k].T, wanted.feed)
-    text = program(_TITLE, [*(() if machine.turns else PLACES), _RESTS], blocks, wanted.control)
+    text = program(_TITLE, [*([_COUNTED] if machine.turns else PLACES), _RESTS], blocks, wanted.control)
     notes = [*own, f"proposed: {len(given.names)} lines", *identifiability_notes(worth.identified)[1:]]
     ratio = worth.identified.ratio
     weak = f"the lines have a ratio of {ratio:.1f}, more than {wanted.ratio:g}: measure further lines at other places"
@@ -79,5 +81,5 @@ def _to_and_fro(axis: Axis, lines: MeasuredLines, line: int, feed: float) -> Ite
         places = [target] if fore else [target - aft * beyond(axis), target]
         for place in places:
             at = {axis.letter: float(np.degrees(place)) if turns else place}
-            yield Rapid(at) if turns else Feed(at, feed)
+            yield Rapid(at, any_turn((axis,))) if turns else Feed(at, feed)
         yield Dwell(REST)

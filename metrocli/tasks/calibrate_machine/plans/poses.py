@@ -19,6 +19,7 @@ from metrocli.tasks.calibrate_machine.described import machine_of
 from metrocli.tasks.calibrate_machine.files import Files
 from metrocli.tasks.calibrate_machine.methods.poses import in_degrees, places_read, poses_at, problem_at, without_errors
 from metrocli.tasks.calibrate_machine.plans.planned import Worth, planned, tracker_pose, worth_of
+from metrocli.tasks.calibrate_machine.plans.pose_program import by_set_up, program_of_poses, with_room
 from metrocli.tasks.calibrate_machine.plans.stops import judged
 from metrocli.tasks.calibrate_machine.plans.wanted import PathPlan
 from metrocli.tasks.calibrate_machine.problem import MachineProblem
@@ -66,9 +67,9 @@ def plan_of_poses(settings: Settings, files: Files) -> Plan:
     if settings.method == LENGTHS and files.stations is None:
         stations = without_errors(settings, table, files, np.zeros(6))[1].listed_stations
         proposed |= {} if stations is None else {"stations.csv": stations}
-    return planned(
-        notes, figures, worth, {_FILES[settings.method]: in_degrees(table), **proposed}, [lacks] if lacks else []
-    )
+    name = _FILES[settings.method]
+    proposed |= {name: in_degrees(table), name.replace(".csv", ".nc"): program_of_poses(settings, table, files)}
+    return planned(notes, figures, worth, proposed, [lacks] if lacks else [])
 
 
 @dataclass(frozen=True)
@@ -94,6 +95,7 @@ def _enough(settings: Settings, files: Files) -> tuple[_Trial, str]:
 
     def tried(count: float) -> _Trial:
         table = poses_at(settings, files, shares_spread(len(machine.axes), round(count)))
+        table = by_set_up(with_room(settings, table, files))
         return _Trial(table, worth_of(settings, _problem(settings, table, files)()))
 
     trial = tried(count)
