@@ -69,6 +69,9 @@ def _of_table(table: Table) -> Iterator[tuple[str, str, float, Table]]:
         yield from _units_of_lengths(table, names)
     angles = [name for name, unit in table.units.items() if unit == "rad"]
     yield from _units_of_angles(table, angles)
+    turning = [name for name in angles if name in _TURNING]
+    for name in turning if len(angles) > 1 else ():
+        yield from _units_of_angles(table, [name])
     for one, other in combinations(angles, 2):
         yield (*_swap(one, other), 1.0, _swapped(table, one, other))
     for angle in (angle for angle in angles if angle not in _TURNING):
@@ -104,12 +107,12 @@ def _units_of_lengths(table: Table, names: Sequence[str]) -> Iterator[tuple[str,
 def _units_of_angles(table: Table, names: Sequence[str]) -> Iterator[tuple[str, str, float, Table]]:
     if not names:
         return
-    degree = find_unit("deg", "angle").inside(1.0)
+    degree, gon = (find_unit(symbol, "angle").inside(1.0) for symbol in ("deg", "gon"))
     read = _unit(table, names[0], "angle")
-    for factor, symbol in ((degree, "deg"), (1 / degree, "rad")):
+    for factor, symbol in ((degree, "deg"), (1 / degree, "rad"), (gon / degree, "gon"), (degree / gon, "deg")):
         verb = "are" if names[1:] else "is"
         meant = find_unit(symbol, "angle")
-        if _alike(meant.times / meant.over, factor * read) or not table.headings:
+        if _alike(meant.times / meant.over, factor * read) or (not table.headings and symbol != "gon"):
             words = f"{in_a_row(_headings(table, names))} {verb} in {symbol}"
             write = f"{in_a_row([f'{name}_{symbol}' for name in names])} in the heading"
             yield words, write, factor, _scaled(table, names, factor)

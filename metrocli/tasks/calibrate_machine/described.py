@@ -34,6 +34,8 @@ from metrocli.tasks.calibrate_machine.settings import TURNING, Settings
 
 _OUTSIDE = 1e-3
 """Positions may be outside the range by this [mm, deg]: rounding of the control"""
+_GON = 0.9
+"""A gon in degrees"""
 _SUPPORT = 0.02
 """A knot is supported if some reading gives it at least this interpolation weight"""
 
@@ -126,10 +128,28 @@ def commanded(machine: Machine, table: Table) -> Array:
         for number, row in zip(*np.nonzero(outside), strict=True)
         for axis in [machine.axes[number]]
     ]
+    if faults and machine.turns and _fits_otherwise(machine, table):
+        # a fault without row and hint: a task then tries what may be wrong in the file
+        raise InputError([table.fault(f"{len(faults)} positions are outside the ranges of their axes")])
     if faults:
         more = [table.fault(f"and {len(faults) - 5} more such rows")] if len(faults) > 5 else []
         raise InputError(faults[:5] + more)
     return position
+
+
+def _fits_otherwise(machine: Machine, table: Table) -> bool:
+    """Return whether all angles lie in the ranges of the axes if two are exchanged, or if gon are called degrees."""
+    turning = [axis for axis in machine.axes if isinstance(axis, RotaryAxis)]
+    read = [table.numbers(axis.letter.lower()) for axis in turning]
+    return any(
+        all(_inside(axis, factor * own) for axis, own in zip(turning, angles, strict=True))
+        for factor, angles in ((1.0, read[::-1]), (_GON, read))
+    )
+
+
+def _inside(axis: RotaryAxis, angle: Array) -> bool:
+    margin, own = np.radians(_OUTSIDE), axis.wrapped(angle)
+    return bool(own.min() >= axis.knots[0] - margin and own.max() <= axis.knots[-1] + margin)
 
 
 def _outside(axis: Axis, position: float, table: Table) -> str:
@@ -139,7 +159,10 @@ def _outside(axis: Axis, position: float, table: Table) -> str:
         return "the columns x, y, z hold the commanded positions"
     in_rad = table.headings.get(letter, "").endswith("_rad")
     as_degrees = in_rad and axis.knots[0] <= np.radians(position) <= axis.knots[-1]
-    return f"is it in degrees? then write `{letter}_deg`" if as_degrees else f"give {letter} a wider range"
+    if as_degrees:
+        return f"is it in degrees? then write `{letter}_deg`"
+    one_turn = abs(float(np.ptp(axis.knots)) - 2 * np.pi) < _OUTSIDE and not axis.periodic
+    return f"give {letter} a wider range" + ", or `periodic: true` if it takes any turn" * one_turn
 
 
 def must_have_axes(machine: Machine, table: Table) -> None:

@@ -76,7 +76,7 @@ PROBING = Columns(
     columns("ball [text]", *AXES, "dx? dy? dz? [length]", "tool? [text]", "t? [time]", "temp? [temperature]", _SIDES),
     (),
     "commanded poses, and the displacement of a ball against the probe there",
-    measured=("dx", "dy", "dz"),
+    measured=("x", "y", "z", "dx", "dy", "dz"),
     alike=("ball",),
 )
 BALLS = Columns((*columns("ball [text]", "x y z [length]"), *SIGMAS), ("ball",), "approximate places of the balls")

@@ -68,9 +68,15 @@ def _rotary(machine: MachineSettings) -> Iterator[_Other]:
                 written = ", ".join(f"{coordinate:g} mm" for coordinate in place)
                 mistake = Mistake(f"{where}.at", words, f"at: [{written}]")
                 yield mistake, _with_axis(machine, key, replace(axis, at=place))
-    for chain in dict.fromkeys(_exchanged(machine.letters)) if machine.turns else ():
-        words = "tables and heads are exchanged"
-        yield Mistake("machine.chain", words, f"chain: {chain}"), replace(machine, chain=chain)
+    if machine.turns:
+        for chain in dict.fromkeys(_exchanged(machine.letters)):
+            yield (
+                Mistake("machine.chain", "tables and heads are exchanged", f"chain: {chain}"),
+                replace(machine, chain=chain),
+            )
+        for chain in _reordered(machine.letters):
+            words = f"the order of the rotary axes is that of {chain}"
+            yield Mistake("machine.chain", words, f"chain: {chain}"), replace(machine, chain=chain)
 
 
 def _with_axis(machine: MachineSettings, key: str, axis: RotarySettings) -> MachineSettings:
@@ -90,6 +96,14 @@ def _exchanged(letters: Sequence[str]) -> Iterator[str]:
                 yield chain
 
 
+def _reordered(letters: Sequence[str]) -> Iterator[str]:
+    """Yield the chains in which two rotary axes have each other's place."""
+    turning = [letter for letter in letters if letter in ANGLES]
+    if len(turning) > 1:
+        other = dict(zip(turning, reversed(turning), strict=True))
+        yield f"w{''.join(other.get(letter, letter) for letter in letters)}t"
+
+
 def _other_tools(machine: MachineSettings) -> Iterator[_Other]:
     """Yield tool vectors that the readings determine; they do not control a single one."""
     if len(machine.tools or {}) > 1 and machine.tool_std < _VAGUE:
@@ -100,9 +114,9 @@ def _other_tools(machine: MachineSettings) -> Iterator[_Other]:
 
 
 def _turned(machine: MachineSettings) -> Iterator[_Other]:
-    """Yield each tool vector of several with a component of the other sign."""
+    """Yield each tool vector of several, or one that turns, with a component of the other sign."""
     tools = machine.tools or {}
-    for name, vector in tools.items() if len(tools) > 1 else ():
+    for name, vector in tools.items() if len(tools) > 1 or machine.turns else ():
         for at in (at for at, size in enumerate(vector) if size):
             turned = tuple(-coordinate if k == at else coordinate for k, coordinate in enumerate(vector))
             axis = "xyz"[at]
