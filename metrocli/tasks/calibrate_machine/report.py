@@ -276,7 +276,7 @@ def _statistics(solved: AdjustedMachine, settings: Settings) -> Statistics:
     return {
         **basic_statistics(solved.solution, rms),
         "method": settings.method,
-        "chain": settings.machine.chain,
+        **({} if settings.angular else {"chain": settings.machine.chain}),
         "sign": SIGN,
         "straightness": "zero at both ends",
         "rank": identified.rank,

@@ -124,3 +124,24 @@ def test_siemens_turns_any_turn_the_shortest_way() -> None:
     blocks = [nc_program.Rapid({"A": -30.0, "C": 361.0}, "C"), nc_program.Rapid({"C": -1.0}, "C")]
     assert "G0 A-30.0000 C=DC(1.0000)\nG0 C=DC(359.0000)\n" in nc_program.program("", (), blocks, "siemens")
     assert "G0 A-30.0000 C361.0000\nG0 C-1.0000\n" in nc_program.program("", (), blocks)
+
+
+def test_a_table_alone_is_planned_with_as_many_poses_as_it_needs(tmp_path: Path, metrocli: Metrocli) -> None:
+    """Few poses leave knots open that more do not; a spindle that stands on the bed beside the instrument is not read."""
+    (tmp_path / "reflectors.csv").write_text(
+        "reflector,on,x_mm,y_mm,z_mm,sigma_mm\nR1,workpiece,200,0,50,0.1\nR2,workpiece,-100,170,120,0.1\n"
+        "R3,workpiece,-100,-170,20,0.1\n"
+    )
+    (tmp_path / "job.yaml").write_text(
+        "metrocli: 1\njob: calibrate-machine\nmethod: lengths\nmachine:\n  chain: wCbt\n"
+        "  axes: {c: {range: [0 deg, 360 deg], knots: 9, at: [0 mm, 0 mm, 0 mm]}}\n"
+        "inputs: {lengths: lengths.csv, reflectors: reflectors.csv}\nnoise: {constant: 0.3 um}\n"
+        "instrument: {on: bed}\nplan: {uncertainty: 1 um}\noutput: t.h5\n"
+    )
+    ran = metrocli("plan", tmp_path / "job.yaml", "--out", tmp_path / "plan")
+    assert ran.code == 0, ran.err
+    rows = (tmp_path / "plan/lengths.csv").read_text().splitlines()
+    at = rows[0].split(",").index("tool")
+    assert {row.split(",")[at] for row in rows[1:]} == {"R1", "R2", "R3"}
+    program = (tmp_path / "plan/lengths.nc").read_text()
+    assert program.count("M0") == 12 and "Z" not in program.split("G94")[1]

@@ -325,3 +325,13 @@ def test_linear_axes_alone_are_planned_and_simulated_too(write: Any, metrocli: M
     assert metrocli("simulate", "job.yaml", "--out", "new").code == 0
     Path("lines.csv").write_text(Path("new/lines.csv").read_text())
     assert solved(metrocli).statistics["sigma0"] == pytest.approx(1, abs=0.2)
+
+
+def test_its_result_does_not_stand_for_a_machine(write: Any, metrocli: Metrocli) -> None:
+    """Nothing is known of where the axis lies, so no place of a tool is predicted."""
+    write(readings())
+    assert "chain" not in solved(metrocli).statistics
+    rows = [f"P{i},{i},{i % 2},{i % 3},{30 * i},0,0,0" for i in range(5)]
+    Path("check.csv").write_text("\n".join(["point,x_mm,y_mm,z_mm,c_deg,mx_mm,my_mm,mz_mm", *rows, ""]))
+    ran = metrocli("verify", "c.h5", "check.csv")
+    assert ran.code == 3 and "the positioning of C alone" in ran.err

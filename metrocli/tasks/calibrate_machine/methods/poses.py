@@ -155,8 +155,10 @@ def _inside(machine: Machine, position: Array, margin: float) -> Mask:
 
 
 def _read(settings: Settings, files: Files) -> list[str]:
-    """Return the names of the tools and reflectors that are read."""
-    return [*settings.tools, *([] if files.reflectors is None else files.reflectors.texts("reflector"))]
+    """Return the names of the tools and reflectors that are read; no tool that does not move against the instrument."""
+    reflectors = [] if files.reflectors is None else files.reflectors.texts("reflector")
+    at_rest = settings.instrument.on == "bed" and settings.machine.letters[-1] == "b"
+    return reflectors if reflectors and at_rest else [*settings.tools, *reflectors]
 
 
 def _in_turn(names: list[str], count: int) -> np.typing.NDArray[np.str_]:

@@ -59,7 +59,12 @@ def with_room(settings: Settings, table: Table, files: Files) -> Table:
 def program_of_poses(settings: Settings, table: Table, files: Files) -> str:
     """Return the program of poses in their order."""
     wanted, machine = settings.plan or PathPlan(), machine_of(settings)
-    remarks = [*PLACES, *_UNCHECKED, *(_PROBED if _probes(settings) else ["a reading in each dwell"])]
+    linear = not machine.only_turns
+    remarks = [
+        *(PLACES * linear),
+        *_UNCHECKED[: 1 + linear],
+        *(_PROBED if _probes(settings) else ["a reading in each dwell"]),
+    ]
     blocks = _blocks(settings, machine, table, files)
     return program("metrocli poses for calibrate-machine", remarks, blocks, wanted.control)
 
@@ -95,10 +100,10 @@ def _names(settings: Settings, table: Table) -> list[tuple[str, str]]:
         balls = table.texts("ball")
         return [(f"mount probe {tool}".strip(), f"ball {ball}") for tool, ball in zip(tools, balls, strict=True)]
     points = table.texts("point")
-    mounted = [f"mount reflector {tool}".strip() for tool in tools]
+    mounted = [f"reflector {tool}".strip() for tool in tools]
     if settings.method == LENGTHS:
         stations = table.texts("station")
-        mounted = [f"{mount}, interferometer at {at}" for mount, at in zip(mounted, stations, strict=True)]
+        mounted = [f"interferometer at {at}, {mount}" for mount, at in zip(mounted, stations, strict=True)]
     return [(mount, f"point {point}") for mount, point in zip(mounted, points, strict=True)]
 
 

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from metrocli.arrays import Array
+from metrocli.errors import UndeterminedError
 from metrocli.frozen import dataclass
 from metrocli.instruments.axes.kinematics import nominal_tip
 from metrocli.instruments.axes.rotary import RotaryAxis
@@ -31,6 +32,8 @@ from metrocli.tasks.shared.lists import listed_places
 _FILES = {STANDSTILL: "points.csv", LENGTHS: "lengths.csv", PROBING: "probing.csv"}
 _PER_KNOT, _GROWTH, _MOST = 3, 1.4, 3000
 """Poses for each knot to begin with, how their number grows, and the largest one"""
+_MANY = 4.0
+"""Times as many poses leave nothing open that is open for want of poses"""
 _GAIN = 0.9
 """More poses are tried as long as they reduce the ratio to this share"""
 _CLOSE, _ROUNDS = 0.7, 5
@@ -98,7 +101,7 @@ def _enough(settings: Settings, files: Files) -> tuple[_Trial, str]:
         table = by_set_up(with_room(settings, table, files))
         return _Trial(table, worth_of(settings, _problem(settings, table, files)()))
 
-    trial = tried(count)
+    trial, count = _first(tried, count)
     if wanted.uncertainty is None:
         while trial.worth.identified.ratio > wanted.ratio and count * _GROWTH < _MOST:
             count *= _GROWTH
@@ -117,6 +120,27 @@ def _enough(settings: Settings, files: Files) -> tuple[_Trial, str]:
     lacks = trial.uncertainty > wanted.uncertainty
     sizes = f"{trial.uncertainty * 1000:.2g} um to {wanted.uncertainty * 1000:.2g} um in the volume"
     return trial, _FEW.format(sizes) if lacks else ""
+
+
+def _first(tried: Callable[[float], _Trial], count: float) -> tuple[_Trial, float]:
+    """Return the fewest poses that determine the volume, and their number.
+
+    Raises the UndeterminedError of the fewest if several times as many leave something open as well: then it is not
+    their number.
+    """
+    try:
+        return tried(count), count
+    except UndeterminedError as error:
+        try:
+            trial = tried(count * _MANY)
+        except UndeterminedError:
+            raise error from None
+    for more in count * _GROWTH ** np.arange(1.0, np.log(_MANY) / np.log(_GROWTH)):
+        try:
+            return tried(float(more)), float(more)
+        except UndeterminedError:
+            continue
+    return trial, count * _MANY
 
 
 def _problem(settings: Settings, table: Table, files: Files) -> Callable[[], MachineProblem]:
