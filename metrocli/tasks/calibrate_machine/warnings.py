@@ -9,7 +9,7 @@ import numpy as np
 
 from metrocli import units
 from metrocli.instruments.axes.rotary import RotaryAxis
-from metrocli.instruments.machine import ERRORS, TOOL
+from metrocli.instruments.machine import TOOL, Machine, errors_of
 from metrocli.instruments.tracer import TRACER
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine.methods.backwards import unseen_senses
@@ -170,15 +170,34 @@ def _senses(tables: Tables, settings: Settings) -> Iterator[Hidden]:
 
 
 def _hidden(solved: AdjustedMachine, tables: Tables, scales: Mapping[str, Warm]) -> Iterator[Hidden]:
-    machine = tables.machine
-    if solved.problem.positioning_alone and machine.turns:
+    machine, alone = tables.machine, solved.problem.positioning_alone
+    if machine.only_turns:
+        yield from _of_indexers() if alone else ()
+    else:
+        yield from _of_scales(solved, machine, scales)
+    tool = solved.solution.blocks[TOOL]
+    if len(tool.members) < 2 and not tool.free.any() and not alone:
+        names = [name for axis in machine.axes for name in errors_of(axis.letter) if name[1] in "ABC"]
+        angles = [np.abs(tables.of(name)[1]).max(initial=0.0) for name in names]
         yield Hidden(
-            "division and centring of indexer, polygon or mirror (what turns with it is taken for errors of the axis)",
-            "1 arcsec, at 300 mm from the axis",
-            _ARCSEC * _AWAY,
-            "the same test with the indexer or the polygon turned on the table by some of its steps",
+            "vector of the only tool (errors of a tool of another length)",
+            "0.1 mm",
+            _TOOL * float(np.nanmax(angles, initial=0.0)),
+            "tools of different length, or the tool measured",
         )
-        return
+
+
+def _of_indexers() -> Iterator[Hidden]:
+    yield Hidden(
+        "division and centring of indexer, polygon or mirror (what turns with it is taken for errors of the axis)",
+        "1 arcsec, at 300 mm from the axis",
+        _ARCSEC * _AWAY,
+        "the same test with the indexer or the polygon turned on the table by some of its steps",
+    )
+
+
+def _of_scales(solved: AdjustedMachine, machine: Machine, scales: Mapping[str, Warm]) -> Iterator[Hidden]:
+    """Yield what changes the scale of linear axes: the instrument and the temperature."""
     diagonal = machine.diagonal
     if not blocks_of(solved.solution):
         yield Hidden(
@@ -189,20 +208,12 @@ def _hidden(solved: AdjustedMachine, tables: Tables, scales: Mapping[str, Warm])
         )
     else:
         yield Hidden(ASSUMED, AIR_WORDS, AIR * diagonal, ASSUMED_CONTROL)
-    if sum(scale.std > 0 for scale in scales.values()) < len(machine.axes):
+    linear = [axis for axis in machine.axes if not isinstance(axis, RotaryAxis)]
+    if sum(scale.std > 0 for scale in scales.values()) < len(linear):
         yield Hidden(
             "temperature of the machine (positioning errors)",
             "1 K of steel (11.5 um/m)",
             _STEEL * diagonal,
             "temperature of the scales with its `std` (`scale:` at each axis); without `scale:` the tables hold at the "
             "temperature of the measurement",
-        )
-    tool = solved.solution.blocks[TOOL]
-    if len(tool.members) < 2 and not tool.free.any():
-        angles = [np.abs(tables.of(name)[1]).max(initial=0.0) for name in ERRORS if name[1] in "ABC"]
-        yield Hidden(
-            "vector of the only tool (errors of a tool of another length)",
-            "0.1 mm",
-            _TOOL * float(np.nanmax(angles, initial=0.0)),
-            "tools of different length, or the tool measured",
         )

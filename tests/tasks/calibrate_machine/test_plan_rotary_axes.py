@@ -138,8 +138,17 @@ def test_a_table_alone_is_planned_with_as_many_poses_as_it_needs(tmp_path: Path,
         "inputs: {lengths: lengths.csv, reflectors: reflectors.csv}\nnoise: {constant: 0.3 um}\n"
         "instrument: {on: bed}\nplan: {uncertainty: 1 um}\noutput: t.h5\n"
     )
-    ran = metrocli("plan", tmp_path / "job.yaml", "--out", tmp_path / "plan")
+    path = tmp_path / "job.yaml"
+    path.write_text(path.read_text() + "simulation: {error: 20 um}\n")
+    ran = metrocli("plan", path, "--out", tmp_path / "plan", "--json")
     assert ran.code == 0, ran.err
+    promised = json.loads(ran.out)["figures"]["ratio"]["value"]
+    planned = "inputs.lengths=plan/lengths.csv"
+    assert metrocli("simulate", path, "--out", tmp_path / "new", "--set", planned).code == 0
+    solved = metrocli("calibrate-machine", path, "--json", "--set", "inputs.lengths=new/lengths.csv")
+    assert solved.code == 0, solved.err
+    # what the list of reflectors holds moves nothing, and makes no ratio infinite
+    assert json.loads(solved.out)["statistics"]["ratio"] == pytest.approx(promised, rel=0.2)
     rows = (tmp_path / "plan/lengths.csv").read_text().splitlines()
     at = rows[0].split(",").index("tool")
     assert {row.split(",")[at] for row in rows[1:]} == {"R1", "R2", "R3"}
