@@ -272,13 +272,14 @@ def dense(more: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> list[tuple[fl
 HIDDEN: dict[str, Callable[[np.ndarray, np.ndarray], np.ndarray]] = {
     "worm-error c": lambda c, t: 1.5 * np.sin(np.radians(36 * c) + 1),
     "indexer-drift L1": lambda c, t: 1.5 * t / 3600,
+    "encoder-eccentricity c": lambda c, t: 20 * np.cos(np.radians(c) + 2),
     "": lambda c, t: 0 * c,
 }
 
 
 @pytest.mark.parametrize("name", HIDDEN)
 def test_what_is_hidden_is_named(write: Any, metrocli: Metrocli, name: str) -> None:
-    """What turns once is a shape of the table, and no blunder."""
+    """What turns once is no blunder: the table has it at its knots, and the effect between them."""
     write(dense(HIDDEN[name]), "c_deg,ec_arcsec,t_s")
     ran = metrocli("diagnose", "job.yaml", "--limit", "30s")
     verdict = ran.out.splitlines()[0]
