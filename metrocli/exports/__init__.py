@@ -69,19 +69,25 @@ FORMATS: dict[str, ExportFormat] = {
 
 
 def _of_rotary_axes(name: str, files: Callable[..., Exported], result: Result) -> Exported:
-    """Return where the rotary axes lie, and the tables of the positioning, as far as the result determines them."""
-    from metrocli.errors import InputError
-    from metrocli.exports.error_tables import has
-    from metrocli.exports.pivots import OF_CONTROLS, wanted
-    from metrocli.exports.turning_axes import positioning_of
+    """Return where the rotary axes lie, and the tables of the positioning, as far as the result determines them.
 
-    tables = files(result) if has(result) and positioning_of(result).curves else {}
-    try:
-        return {**OF_CONTROLS[name](result), **tables}
-    except InputError as error:
-        if not tables:
-            raise
-        return {**tables, **({"not-written.txt": f"{error}\n"} if wanted(result) else {})}
+    What the job estimates and the files lack has its reason in a text beside them, or is raised if there are none.
+    """
+    from metrocli.errors import Fault, InputError
+    from metrocli.exports.pivots import OF_CONTROLS, wanted
+    from metrocli.exports.turning_axes import has_positioning
+
+    texts: dict[str, Table | str] = {}
+    reasons: list[Fault] = []
+    for make, meant in ((OF_CONTROLS[name], wanted(result)), (files, has_positioning(result))):
+        try:
+            texts |= make(result)
+        except InputError as error:
+            reasons += [*error.faults] if meant else []
+    if not texts:
+        raise InputError(reasons or "the result determines neither where rotary axes lie nor their positioning")
+    lacks = "".join(f"{fault.message}\n" for fault in reasons)
+    return texts | ({"not-written.txt": lacks} if lacks else {})
 
 
 _OF_PIVOTS = ("fanuc", "heidenhain", "linuxcnc")

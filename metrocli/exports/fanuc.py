@@ -23,6 +23,7 @@ from metrocli.exports.error_tables import LETTERS, POSITIONING, TURN, ErrorTable
 from metrocli.exports.volumetric import evenly
 from metrocli.frozen import dataclass
 from metrocli.result import Result
+from metrocli.words import listed
 
 MOST_POINTS, MOST_STEP = 128, 7
 """Most points of an axis, and largest increment: increments are from -7 to 7"""
@@ -59,14 +60,23 @@ class Pitch:
 
 
 def carried(tables: ErrorTables) -> ErrorTables:
-    """Return the positioning errors on an even grid through machine position 0, as the control needs it."""
+    """Return the positioning errors on an even grid through machine position 0, as the control needs it.
+
+    Those that are nowhere half a detection unit are left out; raises InputError if all are.
+    """
     held = tables.only(POSITIONING)
-    curves = {name: _even(name, curve) for name, curve in held.curves.items()}
-    return replace(held, curves=curves, remarks=(*held.remarks, *_remarks(held.curves, curves)))
+    even = {name: _even(name, curve) for name, curve in held.curves.items()}
+    curves = {name: curve for name, curve in even.items() if np.abs(curve.values).max() >= UNIT / 2}
+    small = [f"{name} is nowhere {UNIT / 2:g} {unit_of(name[2])}: left out" for name in even if name not in curves]
+    if small and not curves:
+        raise InputError(
+            f"no positioning error is half a detection unit: {listed(list(even))} would be tables of zeros"
+        )
+    return replace(held, curves=curves, remarks=(*held.remarks, *small, *_remarks(held.curves, curves)))
 
 
 def _remarks(before: Mapping[str, ErrorTable], after: Mapping[str, ErrorTable]) -> Iterator[str]:
-    for name, curve in before.items():
+    for name, curve in ((name, before[name]) for name in after):
         shift = curve.at(np.zeros(1))
         lost = float(np.abs(after[name].at(curve.positions) - curve.values + shift).max())
         if lost > UNIT / 2:

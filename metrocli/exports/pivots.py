@@ -66,10 +66,10 @@ class Pivot:
 
 def wanted(result: Result) -> bool:
     """Return whether the job estimates where the rotary axes lie."""
-    places = {name for letter in ANGLES for name in location_names(letter)}
-    errors = result.tables["errors"]
-    status = zip(errors.texts("error"), errors.texts("status"), strict=True)
-    return any(name in places and one != "not estimated" for name, one in status)
+    named = {estimate.name for estimate in result.estimates}
+    for key in ("undetermined", "together"):
+        named |= set(str(result.statistics.get(key, "")).split())
+    return any(name in named for letter in ANGLES for name in location_names(letter)[:4])
 
 
 def pivots(result: Result) -> list[Pivot]:

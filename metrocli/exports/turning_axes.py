@@ -12,6 +12,7 @@ from metrocli.exports.error_tables import (
     ErrorTable,
     ErrorTables,
     digits_of,
+    has,
     of,
     reversal_of,
     unit_of,
@@ -44,6 +45,11 @@ def positioning_of(result: Result) -> ErrorTables:
     curves = {**linear, **turning}
     reversal = {letter: width for letter, width in widths.items() if f"E{letter}{letter}" in curves}
     return replace(tables, curves=curves, squareness={}, reversal=reversal, together=(), periodic=periodic)
+
+
+def has_positioning(result: Result) -> bool:
+    """Return whether a result of a machine with rotary axes determines the positioning of some axis."""
+    return has(result) and bool(positioning_of(result).curves)
 
 
 def _one_turn(curve: ErrorTable) -> ErrorTable:

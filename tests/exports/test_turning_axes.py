@@ -135,3 +135,18 @@ def test_a_backlash_is_in_degrees() -> None:
     line = str(export("linuxcnc", held)["c.comp"]).splitlines()[1]
     # the error in the count is -0.004 deg, and half of the backlash comes on top in forward travel
     assert line == "90.000000 89.9970000 89.9950000"
+
+
+def test_fanuc_writes_no_table_of_zeros() -> None:
+    """An error of 1.8 arcsec is half of its unit of 0.001 deg; a smaller one leaves no increment."""
+    with pytest.raises(InputError, match="ECC would be tables of zeros"):
+        export("fanuc", result(error=ERROR / 13))
+    assert "c.comp" in export("linuxcnc", result(error=ERROR / 13))
+
+
+def test_what_a_job_asks_for_and_does_not_get_has_its_reason_beside() -> None:
+    """The place of the axis is known only together with the tool, its positioning alone."""
+    held = result(more={"together": "EX0C EY0C"})
+    texts = export("linuxcnc", held)
+    assert "c.comp" in texts and "do not determine EX0C EY0C" in str(texts["not-written.txt"])
+    assert "not-written.txt" not in export("linuxcnc", result())

@@ -173,6 +173,7 @@ def test_one_direction_has_its_own_figures(write: Any, metrocli: Metrocli) -> No
     write(readings(ways=(1,)))
     ran = metrocli("calibrate-machine", "job.yaml")
     assert ran.code == 0 and "5 runs up and 0 down; ISO 230-2:2014 asks for five in each direction" in ran.err
+    assert "E_up [arcsec]" in ran.out and "angle [deg]" in ran.out
     figures = hdf5.read(Path("c.h5"))[0].tables["positioning"]
     assert np.isnan(figures.numbers("B")[0]) and figures.numbers("A_up")[0] > 0
 
