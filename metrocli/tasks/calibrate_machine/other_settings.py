@@ -9,8 +9,10 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from itertools import permutations
+from itertools import combinations, permutations
 from typing import Any
+
+import numpy as np
 
 from metrocli.diagnosis.corrections import Mistake
 from metrocli.instruments.machine import ANGLES, AXES, axis_order
@@ -38,6 +40,19 @@ def other_settings(job: Job[Settings, Files], fits: bool) -> Iterator[tuple[Mist
     turned = () if fits else (*_turned(listed), *_rotary(listed))
     for mistake, machine in (*_chains(listed), *_other_tools(listed), *turned):
         yield mistake, replace(job, settings=replace(job.settings, machine=machine))
+    if not fits:
+        yield from _zenith(job)
+
+
+def _zenith(job: Job[Settings, Files]) -> Iterator[tuple[Mistake, Job[Settings, Files]]]:
+    """Yield zenith distances that are called elevations."""
+    points = job.files.points
+    if points is not None and "elevation" in points:
+        heading = points.headings.get("elevation", "elevation_rad")
+        words, write = f"{heading} has zenith distances", f"90 deg minus the numbers of {heading}"
+        mistake = Mistake("points", words, write, file=points.file, sort="zenith")
+        other = points.joined({"elevation [rad]": np.pi / 2 - points.numbers("elevation")})
+        yield mistake, replace(job, files=replace(job.files, points=other))
 
 
 def _chains(machine: MachineSettings) -> Iterator[_Other]:
@@ -114,7 +129,7 @@ def _other_tools(machine: MachineSettings) -> Iterator[_Other]:
 
 
 def _turned(machine: MachineSettings) -> Iterator[_Other]:
-    """Yield each tool vector of several, or one that turns, with a component of the other sign."""
+    """Yield each tool vector of several, or one that turns, with a component of the other sign; and two exchanged."""
     tools = machine.tools or {}
     for name, vector in tools.items() if len(tools) > 1 or machine.turns else ():
         for at in (at for at, size in enumerate(vector) if size):
@@ -124,3 +139,8 @@ def _turned(machine: MachineSettings) -> Iterator[_Other]:
                 "machine.tools", f"{axis} of {name} has the wrong sign", f"{axis} of {name} with the other sign"
             )
             yield mistake, replace(machine, tools={**tools, name: turned})
+    for one, other in combinations(tools, 2) if machine.turns else ():
+        words, names = f"the tools {one} and {other} are under each other's names", {one: other, other: one}
+        vectors = {name: tools[names.get(name, name)] for name in tools}
+        mistake = Mistake("machine.tools", words, f"the vector of {one} for {other}, and that of {other} for {one}")
+        yield mistake, replace(machine, tools=vectors)
