@@ -176,6 +176,11 @@ def test_one_direction_has_its_own_figures(write: Any, metrocli: Metrocli) -> No
     assert "E_up [arcsec]" in ran.out and "angle [deg]" in ran.out
     figures = hdf5.read(Path("c.h5"))[0].tables["positioning"]
     assert np.isnan(figures.numbers("B")[0]) and figures.numbers("A_up")[0] > 0
+    # the axis returns at once to its first target, which belongs to the run that begins there
+    rows = readings(ways=(1,))
+    means = [np.mean([value for at, value in rows if at == target]) for target in TARGETS]
+    assert ARCSEC * figures.numbers("E_up")[0] == pytest.approx(max(means) - min(means))
+    assert "leave it out" not in ran.err and figures.numbers("runs_up")[0] == 5
 
 
 def test_too_few_targets_are_told(write: Any, metrocli: Metrocli) -> None:

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from metrocli.arrays import Array, Index, Values
+from metrocli.arrays import Array, Index, Mask, Values
 from metrocli.errors import Fault, InputError
 from metrocli.frozen import dataclass
 from metrocli.instruments.axes.rotary import RotaryAxis
@@ -25,6 +25,8 @@ _APART = 0.01
 """The columns x, y, z and the distance along the line may disagree by this [mm]"""
 LEAST = 3
 """Fewest positions of a line"""
+_WHOLE = 0.9
+"""Share of a line that a return covers"""
 _LEAST_PART = 1e-6
 """An axis stands still on a line if its part of the line's direction is smaller than this"""
 _ROUNDED = 2
@@ -50,12 +52,26 @@ class MeasuredLines:
         """Return the sense of travel that led to each reading, +1 or -1, (n,).
 
         The first reading of a run has the sense of the travel that follows it. At a turn a target is read twice: as
-        the last of one run and as the first of the next.
+        the last of one run and as the first of the next. In tests in one direction the axis returns at once.
         """
+        step = self._step
+        before, after = np.append(0.0, np.where(self.returns, 0.0, step)), np.append(step, 0.0)
+        return np.where(before != 0, before, after)
+
+    @property
+    def returns(self) -> Mask:
+        """Return which steps between readings lead back to the first target, without a reading on the way, (n - 1,)."""
+        size, step = np.abs(np.diff(self.distance)), self._step
+        range_of = np.array([np.ptp(self.distance[self.of == i]) for i in range(len(self.names))])
+        alone = (np.append(0.0, step[:-1]) == -step) & (np.append(step[1:], 0.0) == -step)
+        return np.asarray(alone & (step != 0) & (size > _WHOLE * range_of[self.of[1:]]))
+
+    @property
+    def _step(self) -> Array:
+        """Signs of the steps between readings, 0 between lines, (n - 1,)."""
         step = np.sign(np.diff(self.distance))
         step[np.diff(self.of) != 0] = 0.0
-        before, after = np.append(0.0, step), np.append(step, 0.0)
-        return np.where(before != 0, before, after)
+        return step
 
     @property
     def along(self) -> Array:
@@ -170,7 +186,7 @@ def _positions(machine: Machine, table: Table, axes: Values, distance: Array) ->
 
 def runs_of(machine: Machine, lines: MeasuredLines, deviation: Array) -> list[Run]:
     """Return the runs along single axes with their deviations (n,); a line may have runs in both directions."""
-    turns = np.flatnonzero((np.diff(lines.of) != 0) | (np.diff(lines.sense) != 0)) + 1
+    turns = np.flatnonzero((np.diff(lines.of) != 0) | (np.diff(lines.sense) != 0) | lines.returns) + 1
     runs = []
     for rows in np.split(np.arange(len(lines.of)), turns):
         axis, name = DIRECTIONS[lines.axis[lines.of[rows[0]]]], lines.names[lines.of[rows[0]]]
