@@ -29,11 +29,12 @@ from metrocli.tasks.calibrate_machine import task as calibrate_machine
 from metrocli.tasks.calibrate_machine.described import machine_of
 from metrocli.tasks.calibrate_machine.files import TRACK, Inputs
 from metrocli.tasks.calibrate_machine.machine_settings import AxesSettings, AxisSettings, MachineSettings
+from metrocli.tasks.calibrate_machine.noise_settings import MachineNoise
 from metrocli.tasks.calibrate_machine.plans.path_search import edges_and_diagonals
 from metrocli.tasks.calibrate_machine.plans.planned import planned_problem
 from metrocli.tasks.calibrate_machine.plans.wanted import PathPlan
 from metrocli.tasks.calibrate_machine.rank.identifiability import identify
-from metrocli.tasks.calibrate_machine.settings import MachineNoise, MachineSimulation, Settings
+from metrocli.tasks.calibrate_machine.settings import MachineSimulation, Settings
 from metrocli.tasks.calibrate_machine.simulation import simulated
 from metrocli.tasks.calibrate_machine.truth import TrueMachine, blocks_of, truth_of
 from metrocli.tasks.calibrate_machine.volume import grid_of, rigid_motions

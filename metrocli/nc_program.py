@@ -1,4 +1,4 @@
-"""NC programs as text: words of ISO 6983-1 (G-code), one block per line, absolute positions in mm."""
+"""NC programs as text: words of ISO 6983-1 (G-code), one block per line, absolute positions in mm and degrees."""
 
 from __future__ import annotations
 
@@ -18,18 +18,20 @@ class NcDialect:
     comment: tuple[str, str] = ("(", ")")
     frame: tuple[str, ...] = ("%",)
     """Line that starts and ends a program; empty for none"""
+    any_turn: str = ""
+    """Word of an axis that takes any turn: it goes the shortest way to a position within one; empty for a plain word"""
 
 
 CONTROLS = {
     "linuxcnc": NcDialect("P"),
     "fanuc": NcDialect("X"),
-    "siemens": NcDialect("F", metric="G710", comment=("; ", ""), frame=()),
+    "siemens": NcDialect("F", metric="G710", comment=("; ", ""), frame=(), any_turn="{axis}=DC({position})"),
 }
 """Controls by name.
 
-Siemens programs use its own language: SINUMERIK ONE, NC programming (12/2019), special characters, G700/G710, G4.
+Siemens programs use its own language: SINUMERIK ONE, NC programming (12/2019), special characters, G700/G710, G4, DC.
 """
-_DIGITS = 4
+_DIGITS, _TURN = 4, 360.0
 
 
 @dataclass(frozen=True)
@@ -37,7 +39,9 @@ class Rapid:
     """Move axes in rapid traverse (G0); if several axes move, the path between start and end is not defined."""
 
     to: Mapping[str, float]
-    """Position by axis [mm]"""
+    """Position by axis [mm, deg]"""
+    any_turn: str = ""
+    """Letters of the axes that take any turn, of moves by less than half a turn"""
 
 
 @dataclass(frozen=True)
@@ -65,7 +69,14 @@ class Stop:
     message: str
 
 
-Block = Rapid | Feed | Dwell | Stop
+@dataclass(frozen=True)
+class Remark:
+    """A comment between blocks."""
+
+    text: str
+
+
+Block = Rapid | Feed | Dwell | Stop | Remark
 
 
 def program(title: str, remarks: Sequence[str], blocks: Iterable[Block], control: str = "linuxcnc") -> str:
@@ -88,8 +99,8 @@ def written(value: float) -> float:
 
 def _words(block: Block, control: NcDialect) -> list[str]:
     match block:
-        case Rapid(to):
-            return [f"G0 {_position(to)}"]
+        case Rapid(to, any_turn):
+            return [f"G0 {_position(to, any_turn, control.any_turn)}"]
         case Feed(to, speed):
             feed = f"{find_unit('mm/min', 'speed').outside(speed):.{_DIGITS}f}".rstrip("0").rstrip(".")
             return [f"G1 {_position(to)} F{feed}"]
@@ -97,10 +108,19 @@ def _words(block: Block, control: NcDialect) -> list[str]:
             return [f"G4 {control.dwell}{time:.3f}"]
         case Stop(message):
             return [_comment(message, control), "M0"]
+        case Remark(text):
+            return [_comment(text, control)]
 
 
-def _position(to: Mapping[str, float]) -> str:
-    return " ".join(f"{axis.upper()}{written(value):.{_DIGITS}f}" for axis, value in to.items())
+def _position(to: Mapping[str, float], any_turn: str = "", word: str = "") -> str:
+    return " ".join(_word(axis.upper(), value, word if axis.upper() in any_turn else "") for axis, value in to.items())
+
+
+def _word(axis: str, value: float, word: str) -> str:
+    """Return the word of a position; with a `word` for axes that take any turn within 0 to 360 deg."""
+    if not word:
+        return f"{axis}{written(value):.{_DIGITS}f}"
+    return word.format(axis=axis, position=f"{written(value) % _TURN:.{_DIGITS}f}")
 
 
 def _comment(text: str, control: NcDialect) -> str:

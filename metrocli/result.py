@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import field
+from dataclasses import field, replace
 from typing import Any
 
 from metrocli.arrays import Array
 from metrocli.frozen import dataclass
 from metrocli.record import InputFile
 from metrocli.table import Table
+from metrocli.units import find_unit
 
 Scalar = float | int | str | bool
 SCALE = "scale"
@@ -37,7 +38,21 @@ class ShownTable:
 
     name: str
     columns: tuple[str, ...] = ()
-    """Columns to show; all if empty"""
+    """Columns to show; all if empty. One with a unit, such as "A [arcsec]", is shown in it"""
+
+    def of(self, table: Table) -> Table:
+        """Return the columns of a table that are shown; unknown ones are left out."""
+        if not self.columns:
+            return table
+        columns, shown = {}, dict(table.units)
+        for heading in self.columns:
+            name, _, symbol = heading.removesuffix("]").partition(" [")
+            if name in table:
+                columns[name] = table.columns[name]
+                if symbol:
+                    columns[name] = table.numbers(name) / find_unit(symbol, "angle").inside(1.0)
+                    shown[name] = symbol
+        return replace(table, columns=columns, units=shown)
 
 
 @dataclass(frozen=True)

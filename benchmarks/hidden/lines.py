@@ -17,7 +17,8 @@ from metrocli.table import Table
 from metrocli.tasks.calibrate_machine import task as calibrate_machine
 from metrocli.tasks.calibrate_machine.files import Inputs
 from metrocli.tasks.calibrate_machine.machine_settings import AxesSettings, AxisSettings, MachineSettings
-from metrocli.tasks.calibrate_machine.settings import MachineNoise, Settings
+from metrocli.tasks.calibrate_machine.noise_settings import MachineNoise
+from metrocli.tasks.calibrate_machine.settings import Settings
 
 Array = npt.NDArray[np.float64]
 LOW, HIGH, KNOTS = np.array([0.0, -260.0, -500.0]), np.array([600.0, 260.0, 0.0]), 5

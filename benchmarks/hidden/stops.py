@@ -14,7 +14,8 @@ from metrocli.table import Table
 from metrocli.tasks.calibrate_machine import task as calibrate_machine
 from metrocli.tasks.calibrate_machine.files import Inputs
 from metrocli.tasks.calibrate_machine.machine_settings import AxesSettings, AxisSettings, MachineSettings
-from metrocli.tasks.calibrate_machine.settings import MachineNoise, Settings
+from metrocli.tasks.calibrate_machine.noise_settings import MachineNoise
+from metrocli.tasks.calibrate_machine.settings import Settings
 
 Array = npt.NDArray[np.float64]
 CONSTANT, PROPORTIONAL = 2e-4, 2e-7

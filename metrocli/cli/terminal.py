@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -128,6 +127,4 @@ def _four_digits(value: Any) -> str:
 
 def _shown(tables: Mapping[str, Table], shown: ShownTable) -> str:
     """Return a table, or the columns of it that are shown."""
-    table = tables[shown.name]
-    columns = {name: table.columns[name] for name in shown.columns or table if name in table}
-    return f"\n{shown.name}\n{table_text(replace(table, columns=columns))}"
+    return f"\n{shown.name}\n{table_text(shown.of(tables[shown.name]))}"

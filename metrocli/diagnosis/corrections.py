@@ -68,12 +68,21 @@ def _of_table(table: Table) -> Iterator[tuple[str, str, float, Table]]:
     for names in [*([places, others] if places and others else []), lengths]:
         yield from _units_of_lengths(table, names)
     angles = [name for name, unit in table.units.items() if unit == "rad"]
-    yield from _units_of_angles(table, angles)
+    for names in _alike_angles(angles):
+        yield from _units_of_angles(table, names)
     for one, other in combinations(angles, 2):
         yield (*_swap(one, other), 1.0, _swapped(table, one, other))
     for angle in (angle for angle in angles if angle not in _TURNING):
         yield _sign(angle)[0], _sign(angle)[1], 1.0, _scaled(table, [angle], -1.0)
     yield from _of_axes(table, [name for name in _AXES if name in table])
+
+
+def _alike_angles(angles: Sequence[str]) -> list[list[str]]:
+    """Return the columns of angles that may share a mistake: all; those of rotary axes, each of them; the others."""
+    turning = [name for name in angles if name in _TURNING]
+    others = [name for name in angles if name not in turning]
+    groups = [list(angles), *([turning, others, *([name] for name in turning)] if turning else [])]
+    return [group for i, group in enumerate(groups) if group not in groups[:i]]
 
 
 def _units_of_lengths(table: Table, names: Sequence[str]) -> Iterator[tuple[str, str, float, Table]]:
@@ -104,12 +113,14 @@ def _units_of_lengths(table: Table, names: Sequence[str]) -> Iterator[tuple[str,
 def _units_of_angles(table: Table, names: Sequence[str]) -> Iterator[tuple[str, str, float, Table]]:
     if not names:
         return
-    degree = find_unit("deg", "angle").inside(1.0)
+    degree, gon = (find_unit(symbol, "angle").inside(1.0) for symbol in ("deg", "gon"))
     read = _unit(table, names[0], "angle")
-    for factor, symbol in ((degree, "deg"), (1 / degree, "rad")):
+    # sightings of networks have gon among their own corrections
+    more = ((gon / degree, "gon"), (degree / gon, "deg")) if any(name in table for name in _TURNING) else ()
+    for factor, symbol in ((degree, "deg"), (1 / degree, "rad"), *more):
         verb = "are" if names[1:] else "is"
         meant = find_unit(symbol, "angle")
-        if _alike(meant.times / meant.over, factor * read) or not table.headings:
+        if _alike(meant.times / meant.over, factor * read) or (not table.headings and symbol != "gon"):
             words = f"{in_a_row(_headings(table, names))} {verb} in {symbol}"
             write = f"{in_a_row([f'{name}_{symbol}' for name in names])} in the heading"
             yield words, write, factor, _scaled(table, names, factor)

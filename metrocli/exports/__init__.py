@@ -68,8 +68,30 @@ FORMATS: dict[str, ExportFormat] = {
 }
 
 
+def _of_rotary_axes(name: str, files: Callable[..., Exported], result: Result) -> Exported:
+    """Return where the rotary axes lie, and the tables of the positioning, as far as the result determines them.
+
+    What the job estimates and the files lack has its reason in a text beside them, or is raised if there are none.
+    """
+    from metrocli.errors import Fault, InputError
+    from metrocli.exports.pivots import OF_CONTROLS, wanted
+    from metrocli.exports.turning_axes import has_positioning
+
+    texts: dict[str, Table | str] = {}
+    reasons: list[Fault] = []
+    for make, meant in ((OF_CONTROLS[name], wanted(result)), (files, has_positioning(result))):
+        try:
+            texts |= make(result)
+        except InputError as error:
+            reasons += [*error.faults] if meant else []
+    if not texts:
+        raise InputError(reasons or "the result determines neither where rotary axes lie nor their positioning")
+    lacks = "".join(f"{fault.message}\n" for fault in reasons)
+    return texts | ({"not-written.txt": lacks} if lacks else {})
+
+
 _OF_PIVOTS = ("fanuc", "heidenhain", "linuxcnc")
-"""Formats that have the lines of the rotary axes of a machine with such"""
+"""Formats that have the lines of the rotary axes of a machine with such, and their positioning"""
 WITHIN = 0.05
 """Largest difference [px] of a camera in a format that can only approach it"""
 
@@ -83,8 +105,6 @@ def export(name: str, result: Result, record: Record | None = None, within: floa
     files: Callable[..., Exported] = getattr(import_module(form.module), form.function)
     doubts = {"doubtful.txt": "\n".join([*result.doubts, ""])} if result.doubts else {}
     if "rotary_axes" in result.tables and name in _OF_PIVOTS:
-        from metrocli.exports.pivots import OF_CONTROLS
-
-        return {**OF_CONTROLS[name](result), **doubts}
+        return {**_of_rotary_axes(name, files, result), **doubts}
     more = (record,) if form.recorded else (within,) if form.nearest else ()
     return {**files(result, *more), **doubts}

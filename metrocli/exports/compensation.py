@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 
 from metrocli.arrays import Array
-from metrocli.exports.error_tables import AXES, ErrorTables, of
+from metrocli.exports.error_tables import AXES, LETTERS, ErrorTables, of
+from metrocli.exports.turning_axes import positioning_of
 from metrocli.frozen import dataclass
 
 Texts = Mapping[str, str]
@@ -30,11 +31,13 @@ class CompensationFormat:
     read: Callable[[Texts], Any]
     """Returns the tables as the control stores them"""
     moved: Callable[[Any, Array], Array]
-    """Returns the movement (n, 3) by the compensation at commanded positions (n, 3), mm"""
+    """Returns the movement by the compensation at commanded positions, (n, 3) mm, or (n, 6) mm and deg"""
     resolution: float
-    """Largest rounding of a written error, mm"""
+    """Largest rounding of a written error, mm or deg"""
     coarsened: Callable[[Any], float] = lambda held: 1.0
     """Returns the factor by which the stored tables are coarser than `resolution`"""
+    turns: bool = False
+    """Whether it takes the positioning of rotary axes"""
 
     def files(self, tables: ErrorTables) -> Texts:
         """Return the files, checked on the model of the control.
@@ -62,26 +65,28 @@ class CompensationFormat:
 
 
 def places_of(tables: ErrorTables) -> Array:
-    """Return positions (n, 3) mm at, between and beside the knots of all axes."""
+    """Return positions (n, 3) mm, or (n, 6) mm and deg, at, between and beside the knots of all axes."""
     per_axis = []
     for axis in AXES:
         ends = tables.span(axis)
         per_axis.append(ends[0] + (ends[1] - ends[0]) * np.array([0.0, 0.137, 0.25, 0.5, 0.781, 1.0]))
     lattice = np.array(list(itertools.product(*per_axis)))
-    lines = [_along(tables, k) for k in range(len(AXES))]
-    return np.concatenate([lattice, *lines])
+    axes = LETTERS if any(name[2] not in AXES for name in tables.curves) else AXES
+    lattice = np.pad(lattice, ((0, 0), (0, len(axes) - len(AXES))))
+    return np.concatenate([lattice, *(_along(tables, axes, k) for k in range(len(axes)))])
 
 
-def _along(tables: ErrorTables, axis: int) -> Array:
-    """Return positions (n, 3) at all knots of an axis and midway between them, the other axes at their low ends."""
-    positions = [curve.positions for name, curve in tables.curves.items() if name[2] == AXES[axis]]
+def _along(tables: ErrorTables, axes: str, axis: int) -> Array:
+    """Return positions (n, axes) at all knots of an axis and midway between them, the other axes at their low ends."""
+    positions = [curve.positions for name, curve in tables.curves.items() if name[2] == axes[axis]]
     knots = np.unique(np.concatenate(positions)) if positions else np.zeros(1)
     where = np.concatenate([knots, (knots[1:] + knots[:-1]) / 2])
-    places = np.tile([tables.span(name)[0] for name in AXES], (len(where), 1))
+    places = np.tile([tables.span(name)[0] for name in axes], (len(where), 1))
     places[:, axis] = where
     return places
 
 
 def files_of(control: CompensationFormat, result: Any) -> Texts:
     """Return the files of a result in a format; raises InputError if the result has no error tables."""
-    return control.files(of(result))
+    turns = control.turns and "rotary_axes" in result.tables
+    return control.files(positioning_of(result) if turns else of(result))

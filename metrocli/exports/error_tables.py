@@ -1,4 +1,7 @@
-"""The geometric errors of a machine in the form of compensation tables: functions of one axis, and products of two."""
+"""The geometric errors of a machine in the form of compensation tables: functions of one axis, and products of two.
+
+The positioning of rotary axes is in degrees, as controls have it, and in the count of the axis.
+"""
 
 from __future__ import annotations
 
@@ -15,6 +18,11 @@ from metrocli.result import Result
 from metrocli.table import Table
 
 AXES = "XYZ"
+LETTERS = AXES + "ABC"
+POSITIONING = tuple(f"E{letter}{letter}" for letter in LETTERS)
+"""Errors of the positioning of each axis"""
+TURN = 360.0
+"""[deg]"""
 SIGN = "sign: actual minus commanded"
 LEVERS = (
     ("A", "Y", "Z", -1), ("A", "Z", "Y", 1), ("B", "X", "Z", 1),
@@ -30,9 +38,9 @@ class ErrorTable:
     """A function of the position of one axis, linear between positions and constant beyond them."""
 
     positions: Array
-    """(n,) mm, ascending"""
+    """(n,) mm or deg, ascending"""
     values: Array
-    """(n,) mm or rad; a factor of a product may have another unit"""
+    """(n,) mm, rad, or deg of rotary axes; a factor of a product may have another unit"""
     std: Array | None = None
 
     def at(self, where: Array) -> Array:
@@ -67,7 +75,7 @@ class ErrorTables:
     """Errors of a machine with three linear axes, in the names of ISO 230-1, each actual minus commanded."""
 
     curves: Mapping[str, ErrorTable]
-    """EXX, EYX, ... (mm) and EAX, ... (rad), over the position of the axis of their last letter"""
+    """EXX, EYX, ... (mm) and EAX, ... (rad), over the position of the axis of their last letter; EAA, EBB, ECC (deg)"""
     squareness: Mapping[str, float]
     """C0Y, B0Z and A0Z, rad"""
     order: str = "XYZ"
@@ -86,6 +94,8 @@ class ErrorTables:
     """Width of the backlash by axis, mm; half of it is added to the error after a move in the positive direction"""
     remarks: tuple[str, ...] = ()
     """Remarks for the files, such as what the format cannot hold"""
+    periodic: str = ""
+    """Letters of the rotary axes that take any turn; their tables go from 0 to 360 deg with one value at both"""
 
     def notes(self) -> list[str]:
         """Return the notes for the comments of every file: sign, errors left out, validity, backlash and remarks."""
@@ -95,7 +105,10 @@ class ErrorTables:
         if self.together:
             tool = " ".join(f"{offset:g}" for offset in self.tool)
             lines.append(f"valid only for the tool {tool} mm of the measurement: " + " ".join(self.together))
-        back = [f"backlash of {axis}, {width:.4f} mm, is not in these tables" for axis, width in self.reversal.items()]
+        back = [
+            f"backlash of {axis}, {width:.{digits_of(axis)}f} {unit_of(axis)}, is not in these tables"
+            for axis, width in self.reversal.items()
+        ]
         return [*lines, *back, *self.remarks]
 
     def only(self, curves: Iterator[str] | tuple[str, ...], squareness: bool = False) -> ErrorTables:
@@ -116,7 +129,7 @@ class ErrorTables:
 
     def _parts(self) -> Iterator[tuple[str, str, ErrorTable]]:
         for name, curve in self.curves.items():
-            if name[1] in AXES:
+            if name[1] in AXES or name in POSITIONING:
                 yield name[2], name[1], curve
         for rotation, direction, lever, sign in LEVERS:
             offset = self.tool[AXES.index(lever)]
@@ -147,14 +160,27 @@ class ErrorTables:
         return np.array([grid[0], grid[-1]])
 
     def at(self, commanded: Array) -> Array:
-        """Return the error at commanded positions, both (n, 3) mm: the rigid-body model to first order."""
+        """Return the error at commanded positions: the rigid-body model to first order.
+
+        Both are (n, 3) mm, or with rotary axes (n, 6) mm and deg.
+        """
         error = np.zeros(commanded.shape)
         for (moves, direction), curve in self.of_one_axis().items():
-            error[:, AXES.index(direction)] += curve.at(commanded[:, AXES.index(moves)])
+            error[:, LETTERS.index(direction)] += curve.at(commanded[:, LETTERS.index(moves)])
         for product in self.products():
             angle = product.angle.at(commanded[:, AXES.index(product.moves)])
             error[:, AXES.index(product.direction)] += angle * commanded[:, AXES.index(product.lever)]
         return error
+
+
+def unit_of(axis: str) -> str:
+    """Return the unit of the positions of an axis in the files of controls."""
+    return "mm" if axis in AXES else "deg"
+
+
+def digits_of(axis: str) -> int:
+    """Return the decimals of its errors in sentences."""
+    return 4 if axis in AXES else 6
 
 
 def has(result: Result) -> bool:
@@ -194,13 +220,13 @@ def of(result: Result) -> ErrorTables:
         squareness_std={name: estimate.std for name, estimate in known.items()},
         left_out=left_out,
         together=together,
-        reversal=_reversal(result),
+        reversal=reversal_of(result),
         remarks=(*(f"NOT FIT FOR USE: {doubt}" for doubt in result.doubts), *_others(result)),
     )
 
 
 _EFFECT = re.compile(r"effects/(.+)/parameters")
-_BACKLASH = {f"backlash.{axis.lower()}": axis for axis in AXES}
+_BACKLASH = {f"backlash.{axis.lower()}": axis for axis in LETTERS}
 
 
 def _effects(result: Result) -> dict[str, Table]:
@@ -209,7 +235,8 @@ def _effects(result: Result) -> dict[str, Table]:
     return {match[1]: result.tables[name] for name, match in matches.items() if match}
 
 
-def _reversal(result: Result) -> dict[str, float]:
+def reversal_of(result: Result) -> dict[str, float]:
+    """Return the width of the backlash by axis [mm, rad]."""
     tables = {_BACKLASH.get(name): table for name, table in _effects(result).items()}
     return {axis: float(table.numbers("value")[0]) for axis, table in tables.items() if axis}
 

@@ -19,15 +19,16 @@ import numpy.typing as npt
 from metrocli.arrays import Array
 from metrocli.errors import InputError
 from metrocli.exports.compensation import CompensationFormat, Texts, files_of
-from metrocli.exports.error_tables import AXES, ErrorTable, ErrorTables
+from metrocli.exports.error_tables import LETTERS, POSITIONING, TURN, ErrorTable, ErrorTables, unit_of
 from metrocli.exports.volumetric import evenly
 from metrocli.frozen import dataclass
 from metrocli.result import Result
+from metrocli.words import listed
 
 MOST_POINTS, MOST_STEP = 128, 7
 """Most points of an axis, and largest increment: increments are from -7 to 7"""
 UNIT = 1e-3
-"""Detection unit, mm"""
+"""Detection unit, mm or deg"""
 _FILE = "pitch-error.txt"
 _PARAMETER = re.compile(r"N(\d+)A(\d)P(\S+)")
 _DATUM = re.compile(r"N1(\d{4})P(\S+)")
@@ -45,7 +46,9 @@ class Pitch:
     interval: float
     magnification: int
     increments: npt.NDArray[np.int64]
-    """Increments from the most negative point on; the first one is 0"""
+    """Increments from the most negative point on; the first is 0, of an axis that takes any turn that of 360 deg"""
+    turn: bool = False
+    """Whether it takes any turn"""
 
     @property
     def curve(self) -> ErrorTable:
@@ -57,18 +60,28 @@ class Pitch:
 
 
 def carried(tables: ErrorTables) -> ErrorTables:
-    """Return the positioning errors on an even grid through machine position 0, as the control needs it."""
-    held = tables.only(tuple(f"E{axis}{axis}" for axis in AXES))
-    curves = {name: _even(name, curve) for name, curve in held.curves.items()}
-    return replace(held, curves=curves, remarks=(*held.remarks, *_remarks(held.curves, curves)))
+    """Return the positioning errors on an even grid through machine position 0, as the control needs it.
+
+    Those that are nowhere half a detection unit are left out; raises InputError if all are.
+    """
+    held = tables.only(POSITIONING)
+    even = {name: _even(name, curve) for name, curve in held.curves.items()}
+    curves = {name: curve for name, curve in even.items() if np.abs(curve.values).max() >= UNIT / 2}
+    small = [f"{name} is nowhere {UNIT / 2:g} {unit_of(name[2])}: left out" for name in even if name not in curves]
+    if small and not curves:
+        raise InputError(
+            f"no positioning error is half a detection unit: {listed(list(even))} would be tables of zeros"
+        )
+    return replace(held, curves=curves, remarks=(*held.remarks, *small, *_remarks(held.curves, curves)))
 
 
 def _remarks(before: Mapping[str, ErrorTable], after: Mapping[str, ErrorTable]) -> Iterator[str]:
-    for name, curve in before.items():
+    for name, curve in ((name, before[name]) for name in after):
         shift = curve.at(np.zeros(1))
         lost = float(np.abs(after[name].at(curve.positions) - curve.values + shift).max())
         if lost > UNIT / 2:
-            yield f"{name}: no even grid contains its knots and 0; its corners are rounded by up to {lost:.4f} mm"
+            size = f"{lost:.4f} {unit_of(name[2])}"
+            yield f"{name}: no even grid contains its knots and 0; its corners are rounded by up to {size}"
 
 
 def _even(name: str, curve: ErrorTable) -> ErrorTable:
@@ -122,6 +135,16 @@ def _pitch(axis: str, curve: ErrorTable, first: int) -> Pitch:
     return Pitch(axis, first, first - round(best.positions[0] / step), step, magnification, increments)
 
 
+def _closed(pitch: Pitch) -> Pitch:
+    """Return the table of an axis that takes any turn: its point at 0 has the value of that at 360 deg.
+
+    The increments of a turn add up to zero, else errors would accumulate (parameter manual B-63980EN, p. 100).
+    """
+    increments = pitch.increments.copy()
+    increments[0] = increments[-1]
+    return replace(pitch, increments=increments, turn=True)
+
+
 def _rounded(curve: ErrorTable, magnification: int) -> npt.NDArray[np.int64]:
     """Return the negative error in units of the magnified detection unit, each value rounded on its own."""
     return np.rint(-curve.values / (magnification * UNIT)).astype(np.int64)
@@ -134,7 +157,8 @@ def written(tables: ErrorTables) -> Texts:
     pitches: list[Pitch] = []
     for name, curve in tables.curves.items():
         first = pitches[-1].first + len(pitches[-1].increments) if pitches else 0
-        pitches.append(_pitch(name[2], curve, first))
+        pitch = _pitch(name[2], curve, first)
+        pitches.append(_closed(pitch) if name[2] in tables.periodic else pitch)
     lines = [line for pitch in pitches for line in _lines(pitch)]
     return {_FILE: "\n".join(["%", *(f"({line})" for line in _head(pitches, tables.notes())), *lines, "%", ""])}
 
@@ -142,26 +166,29 @@ def written(tables: ErrorTables) -> Texts:
 def _head(pitches: Sequence[Pitch], notes: list[str]) -> list[str]:
     """Return the comments, without parentheses, since comments of the control cannot be nested."""
     pitch, curve = pitches[0], pitches[0].curve
-    rounded = ", ".join(f"{other.axis} {other.magnification * UNIT:g} MM" for other in pitches)
-    k = int(np.argmax(np.abs(curve.values)))
+    rounded = ", ".join(
+        f"{other.axis} {other.magnification * UNIT:g} {unit_of(other.axis).upper()}" for other in pitches
+    )
+    k, unit = int(np.argmax(np.abs(curve.values))), unit_of(pitch.axis).upper()
     return [
         *(line.upper() for line in notes),
-        f"VALUE = MINUS THE ERROR, INCREMENTS COUNTED FROM THE NEGATIVE END, DETECTION UNIT {UNIT} MM",
+        f"VALUE = MINUS THE ERROR, INCREMENTS COUNTED FROM THE NEGATIVE END, DETECTION UNIT {UNIT} {unit}",
         f"SUMS ARE ROUNDED TO {rounded}",
         "NO PUBLIC MANUAL CONFIRMS THE SIGN. TEST MOVE: AFTER REFERENCE RETURN GO TO "
-        f"{pitch.axis} = {curve.positions[k]:.3f} MM. THE AXIS MUST MOVE BY {curve.values[k]:+.3f} MM MORE THAN "
-        "WITHOUT COMPENSATION. IF NOT, CHANGE THE SIGN OF ALL INCREMENTS",
+        f"{pitch.axis} = {curve.positions[k]:.3f} {unit}. THE AXIS MUST MOVE BY {curve.values[k]:+.3f} {unit} MORE "
+        "THAN WITHOUT COMPENSATION. IF NOT, CHANGE THE SIGN OF ALL INCREMENTS",
         "AFTER LOADING, SWITCH THE POWER OFF AND ON AND RETURN TO THE REFERENCE POINT",
     ]
 
 
 def _lines(pitch: Pitch) -> list[str]:
-    number = AXES.index(pitch.axis) + 1
+    number = LETTERS.index(pitch.axis) + 1
     last = pitch.first + len(pitch.increments) - 1
     settings = {3620: pitch.reference, 3621: pitch.first, 3622: last, 3623: pitch.magnification}
     return [
         *(f"N{key}A{number}P{value}" for key, value in settings.items()),
         f"N3624A{number}P{pitch.interval:.6f}",
+        *([f"N3625A{number}P{TURN:.6f}"] if pitch.turn else []),
         *(f"N1{pitch.first + k:04d}P{value:+d}" for k, value in enumerate(pitch.increments.tolist())),
     ]
 
@@ -175,15 +202,15 @@ def read(texts: Texts) -> list[Pitch]:
     for axis in sorted({axis for axis, _ in settings}):
         reference, first, last, magnification = (round(settings[axis, key]) for key in (3620, 3621, 3622, 3623))
         increments = np.array([data[k] for k in range(first, last + 1)])
-        tables.append(Pitch(AXES[axis - 1], first, reference, settings[axis, 3624], magnification, increments))
+        tables.append(Pitch(LETTERS[axis - 1], first, reference, settings[axis, 3624], magnification, increments))
     return tables
 
 
 def moved(held: Mapping[str, Pitch] | list[Pitch], commanded: Array) -> Array:
-    """Return the movement (n, 3) mm by the control: the running sum of the increments."""
+    """Return the movement (n, axes) by the control: the running sum of the increments."""
     moves = np.zeros(commanded.shape)
     for pitch in held.values() if isinstance(held, Mapping) else held:
-        k = AXES.index(pitch.axis)
+        k = LETTERS.index(pitch.axis)
         moves[:, k] = pitch.curve.at(commanded[:, k])
     return moves
 
@@ -193,7 +220,7 @@ def coarsened(held: list[Pitch]) -> float:
     return float(max(pitch.magnification for pitch in held))
 
 
-CONTROL = CompensationFormat(carried, written, read, moved, UNIT, coarsened)
+CONTROL = CompensationFormat(carried, written, read, moved, UNIT, coarsened, turns=True)
 
 
 def files(result: Result) -> Texts:

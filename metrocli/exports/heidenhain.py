@@ -16,7 +16,7 @@ import numpy as np
 from metrocli.arrays import Array
 from metrocli.errors import InputError
 from metrocli.exports.compensation import CompensationFormat, Texts, files_of
-from metrocli.exports.error_tables import AXES, ErrorTable, ErrorTables
+from metrocli.exports.error_tables import LETTERS, ErrorTable, ErrorTables, unit_of
 from metrocli.result import Result
 
 MOST_POINTS = 256
@@ -37,7 +37,7 @@ def written(tables: ErrorTables) -> Texts:
     """
     if not tables.curves:
         raise InputError("the result determines no error that depends on a single axis")
-    moving = [axis for axis in AXES if any(name[2] == axis for name in tables.curves)]
+    moving = [axis for axis in LETTERS if any(name[2] == axis for name in tables.curves)]
     texts = {f"AXIS-{axis}.COM": _table(tables, axis) for axis in moving}
     assigned = ["BEGIN CONFIG.CMA", "NR  ACTIVE  " + "  ".join(moving)]
     assigned += ["0   *       " + "  ".join(f"AXIS-{axis}" for axis in moving), "[END]", ""]
@@ -60,13 +60,13 @@ def _table(tables: ErrorTables, moves: str) -> str:
 
 def _note(tables: ErrorTables) -> str:
     name, curve = next(iter(tables.curves.items()))
-    k = int(np.argmax(np.abs(curve.values)))
+    k, unit = int(np.argmax(np.abs(curve.values))), unit_of(name[2])
     lines = [
         *tables.notes(),
-        "values in mm are errors: positive if the travel is too long",
+        "values in mm, of rotary axes in deg, are errors: positive if the travel is too long",
         "no public manual confirms the sign of nonlinear tables. Test move: activate the line of config.CMA and go to "
-        f"{name[2]} = {curve.positions[k]:.3f} mm. {name[1]} must move by {-curve.values[k]:+.4f} mm. If not, change "
-        "the sign of all columns",
+        f"{name[2]} = {curve.positions[k]:.3f} {unit}. {name[1]} must move by {-curve.values[k]:+.4f} {unit}. If "
+        "not, change the sign of all columns",
         "the layout of the header line differs between controls; the columns are those of MANUALplus 620 and iTNC 530",
     ]
     lines.append("angles with another axis as lever are not in these tables: they need the option KinematicsComp")
@@ -88,14 +88,14 @@ def read(texts: Texts) -> dict[tuple[str, str], ErrorTable]:
 
 
 def moved(held: Mapping[tuple[str, str], ErrorTable], commanded: Array) -> Array:
-    """Return the movement (n, 3) mm by the control: the negative error."""
+    """Return the movement (n, axes) by the control: the negative error."""
     moves = np.zeros(commanded.shape)
     for (moving, direction), curve in held.items():
-        moves[:, AXES.index(direction)] -= curve.at(commanded[:, AXES.index(moving)])
+        moves[:, LETTERS.index(direction)] -= curve.at(commanded[:, LETTERS.index(moving)])
     return moves
 
 
-CONTROL = CompensationFormat(carried, written, read, moved, resolution=1.6e-4)
+CONTROL = CompensationFormat(carried, written, read, moved, resolution=1.6e-4, turns=True)
 
 
 def files(result: Result) -> Texts:

@@ -16,17 +16,22 @@ import numpy as np
 from metrocli.arrays import Array
 from metrocli.errors import InputError
 from metrocli.exports.compensation import CompensationFormat, Texts, files_of
-from metrocli.exports.error_tables import AXES, ErrorTable, ErrorTables
+from metrocli.exports.error_tables import LETTERS, POSITIONING, ErrorTable, ErrorTables
+from metrocli.exports.turning_axes import test_move
 from metrocli.result import Result
 
 MOST_POINTS = 256
 """Most triplets that the loader accepts per joint"""
 _NOTE = "linuxcnc.txt"
+_ONE_TURN = (
+    "the table of an axis that takes any turn goes from 0 to 360 deg; LinuxCNC does not repeat it: keep the joint "
+    "within this turn. A joint has the number of its letter among XYZABC: change it if yours differ"
+)
 
 
 def carried(tables: ErrorTables) -> ErrorTables:
-    """Return the positioning errors EXX, EYY and EZZ."""
-    return tables.only(tuple(f"E{axis}{axis}" for axis in AXES))
+    """Return the positioning errors."""
+    return tables.only(POSITIONING)
 
 
 def written(tables: ErrorTables) -> Texts:
@@ -45,10 +50,12 @@ def written(tables: ErrorTables) -> Texts:
         texts[f"{name[2].lower()}.comp"] = "\n".join([*rows, ""])
     if not texts:
         raise InputError("the result determines no positioning error: nothing for COMP_FILE")
-    lines = [f"[JOINT_{AXES.index(name[0].upper())}] COMP_FILE = {name}, COMP_FILE_TYPE = 0" for name in texts]
+    lines = [f"[JOINT_{LETTERS.index(name[0].upper())}] COMP_FILE = {name}, COMP_FILE_TYPE = 0" for name in texts]
     note = [
         *replace(tables, reversal={}).notes(),
-        "each line of a .comp file: nominal position, position reached in forward travel, in reverse travel, in mm",
+        "each line of a .comp file: nominal position, position reached in forward travel, in reverse travel; mm or deg",
+        *(test_move(name[2], curve) for name, curve in tables.curves.items()),
+        *([_ONE_TURN] if tables.periodic else []),
         "LinuxCNC ignores BACKLASH of a joint with a COMP_FILE: the two columns contain the backlash of the result",
         *lines,
     ]
@@ -74,15 +81,15 @@ def read(texts: Texts) -> dict[str, tuple[ErrorTable, ErrorTable]]:
 
 
 def moved(held: Mapping[str, tuple[ErrorTable, ErrorTable]], commanded: Array) -> Array:
-    """Return the movement (n, 3) mm by the control, the mean of both directions: the trims are added."""
+    """Return the movement (n, axes) by the control, the mean of both directions: the trims are added."""
     moves = np.zeros(commanded.shape)
     for axis, trims in held.items():
-        k = AXES.index(axis)
+        k = LETTERS.index(axis)
         moves[:, k] = sum(trim.at(commanded[:, k]) for trim in trims) / 2
     return moves
 
 
-CONTROL = CompensationFormat(carried, written, read, moved, resolution=1e-6)
+CONTROL = CompensationFormat(carried, written, read, moved, resolution=1e-6, turns=True)
 
 
 def files(result: Result) -> Texts:

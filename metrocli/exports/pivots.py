@@ -64,6 +64,14 @@ class Pivot:
         return np.where([True, True, directions, directions, True], self.location, 0.0)
 
 
+def wanted(result: Result) -> bool:
+    """Return whether the job estimates where the rotary axes lie."""
+    named = {estimate.name for estimate in result.estimates}
+    for key in ("undetermined", "together"):
+        named |= set(str(result.statistics.get(key, "")).split())
+    return any(name in named for letter in ANGLES for name in location_names(letter)[:4])
+
+
 def pivots(result: Result) -> list[Pivot]:
     """Return the rotary axes in their order from workpiece to tool.
 

@@ -2,6 +2,7 @@
 
 The control adds the value to the actual position, so a positive value moves the axis in its negative direction.
 Therefore the value is the error itself (SINUMERIK 808D manual, p. 106; syntax: function manual 6FC5397-1BP40, K3).
+Tables of rotary axes are in degrees; with the modulo function one of 0 to 360 deg repeats (808D manual, p. 109).
 """
 
 from __future__ import annotations
@@ -14,7 +15,8 @@ import numpy as np
 from metrocli.arrays import Array
 from metrocli.errors import InputError
 from metrocli.exports.compensation import CompensationFormat, Texts, files_of
-from metrocli.exports.error_tables import AXES, ErrorTable, ErrorTables
+from metrocli.exports.error_tables import LETTERS, POSITIONING, ErrorTable, ErrorTables, unit_of
+from metrocli.exports.turning_axes import test_move
 from metrocli.exports.volumetric import evenly
 from metrocli.result import Result
 
@@ -25,8 +27,8 @@ _SETTING = re.compile(r"\$AA_ENC_COMP_(STEP|MIN|MAX)\[0,(\w)1\]=(\S+)")
 
 
 def carried(tables: ErrorTables) -> ErrorTables:
-    """Return the positioning errors EXX, EYY and EZZ."""
-    return tables.only(tuple(f"E{axis}{axis}" for axis in AXES))
+    """Return the positioning errors."""
+    return tables.only(POSITIONING)
 
 
 def written(tables: ErrorTables) -> Texts:
@@ -39,19 +41,20 @@ def written(tables: ErrorTables) -> Texts:
             raise InputError(
                 f"no even grid of {MOST_POINTS} points, the most that $AA_ENC_COMP takes, contains all knots of {name}"
             )
-        texts[f"{axis}_EEC.INI"] = _text(axis, even, tables.notes())
+        texts[f"{axis}_EEC.INI"] = _text(axis, even, tables)
     if not texts:
         raise InputError("the result determines no positioning error: nothing for leadscrew error compensation")
     return texts
 
 
-def _text(axis: str, curve: ErrorTable, notes: list[str]) -> str:
+def _text(axis: str, curve: ErrorTable, tables: ErrorTables) -> str:
     count = len(curve.positions)
     step = (curve.positions[-1] - curve.positions[0]) / max(count - 1, 1)
     head = [
         f"%_N_{axis}_EEC_INI",
-        *(f"; {line}" for line in notes),
-        f"; value = E{axis}{axis} in mm, which the control adds to the actual position",
+        *(f"; {line}" for line in tables.notes()),
+        f"; {test_move(axis, curve)}",
+        f"; value = E{axis}{axis} in {unit_of(axis)}, which the control adds to the actual position",
         f"; needs MD38000 $MA_MM_ENC_COMP_MAX_POINTS >= {count}; load while MD32700 = 0, then reference the axis",
         "; SINUMERIK 808D takes at most 200 points",
         "CHANDATA(1)",
@@ -61,7 +64,7 @@ def _text(axis: str, curve: ErrorTable, notes: list[str]) -> str:
         f"$AA_ENC_COMP_STEP[0,{axis}1]={step:.9f}",
         f"$AA_ENC_COMP_MIN[0,{axis}1]={curve.positions[0]:.6f}",
         f"$AA_ENC_COMP_MAX[0,{axis}1]={curve.positions[-1]:.6f}",
-        f"$AA_ENC_COMP_IS_MODULO[0,{axis}1]=0",
+        f"$AA_ENC_COMP_IS_MODULO[0,{axis}1]={int(axis in tables.periodic)}",
         "M17",
     ]
     return "\n".join([*head, *values, *tail, ""])
@@ -80,15 +83,15 @@ def read(texts: Texts) -> dict[str, ErrorTable]:
 
 
 def moved(held: Mapping[str, ErrorTable], commanded: Array) -> Array:
-    """Return the movement (n, 3) mm by the control: the negative value of the table."""
+    """Return the movement (n, axes) by the control: the negative value of the table."""
     moves = np.zeros(commanded.shape)
     for axis, curve in held.items():
-        k = AXES.index(axis)
+        k = LETTERS.index(axis)
         moves[:, k] = -curve.at(commanded[:, k])
     return moves
 
 
-CONTROL = CompensationFormat(carried, written, read, moved, resolution=1e-6)
+CONTROL = CompensationFormat(carried, written, read, moved, resolution=1e-6, turns=True)
 
 
 def files(result: Result) -> Texts:

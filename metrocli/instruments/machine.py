@@ -213,6 +213,11 @@ class Machine:
         return any(axis.location != SQUARENESS for axis in self.axes)
 
     @property
+    def only_turns(self) -> bool:
+        """Whether it has no linear axes."""
+        return all(axis.location != SQUARENESS for axis in self.axes)
+
+    @property
     def at_bed(self) -> int:
         """Number of the axis next to the bed, on the side of the tool if there is one."""
         return self.order[min(self.bed, len(self.order) - 1)]

@@ -1,4 +1,4 @@
-"""Lasers with six degrees of freedom: displacement, straightness in two directions and three angles along a line."""
+"""Lasers along lines: displacement, straightness in two directions and three angles; or one angle of a rotary axis."""
 
 from __future__ import annotations
 
@@ -11,8 +11,10 @@ from metrocli.adjust.model.chain import Chain, LinkContext, Step
 from metrocli.adjust.model.quantities import Quantity
 from metrocli.arrays import Array, Mask
 from metrocli.frozen import dataclass
+from metrocli.instruments.axes.error_motion import Undisturbed
 from metrocli.instruments.axes.kinematics import motion
-from metrocli.instruments.machine import Machine
+from metrocli.instruments.axes.rotary import RotaryAxis
+from metrocli.instruments.machine import ROWS, Machine
 
 LINE = "line"
 """Block: offsets of the six channels of each line, and the slope of its beam in two directions across the line"""
@@ -24,6 +26,12 @@ ACROSS = tuple(f"{which}{axis}" for which in "ab" for axis in "xyz")
 """Conditions: two unit vectors across the line"""
 ALONG = tuple(f"along_{axis}" for axis in "xyz")
 """Conditions: unit vector along the line, in the sense of growing positions"""
+ABOUT = "about {axis}"
+"""Condition: 1 where the line turns the axis, 0 where it stands"""
+DISPLACEMENT, TURN = "displacement", "turn"
+"""Components of readings of the positioning alone: along a linear axis, about a rotary one"""
+ANGULAR = (*CHANNELS[3:], TURN)
+"""Components that are angles"""
 FROM_START = "from start"
 """Condition: distance from the lowest position of the line"""
 _REACH = np.array([10.0] * 3 + [0.1] * 5)
@@ -91,6 +99,45 @@ class Displacement:
         return Step((along[0] * value).sum(axis=0)[None], along)
 
 
-def line_chain(machine: Machine, displacement: bool = False) -> Chain:
-    """Return the forward model of a reading on a line, or of its displacement only."""
-    return Chain((*motion(machine), Misaligned(), *([Displacement()] if displacement else [])))
+@dataclass(frozen=True)
+class Turn:
+    """Link from the errors of rotary axes to the error of the angle about the axis that a line turns.
+
+    It is what a rotary indexer with a laser, or an autocollimator with a polygon, reads: actual minus commanded in the
+    count of the axis, `sense E + zero of the line`.
+    """
+
+    machine: Machine
+    takes = Quantity.AXIS_ERRORS
+    gives = Quantity.ANGLE
+
+    @property
+    def blocks(self) -> tuple[str, ...]:
+        """Names of the blocks of the axes, and of the lines."""
+        return (*(axis.block for axis in self.machine.axes), LINE)
+
+    def step(self, value: Array, local: LinkContext) -> Step:
+        """Return the error of the angle, (1, n), with its derivatives."""
+        n, given = local.observations.count, local.observations.conditions
+        read, zero = np.zeros((1, n)), np.broadcast_to(local.rows(LINE), (len(COLUMNS), n))
+        disturbed, by_line = np.zeros((1, len(value), n)), np.zeros((1, len(COLUMNS), n))
+        by_block: dict[str, Array] = {LINE: by_line}
+        for number, axis in enumerate(self.machine.axes):
+            turns, error = given[ABOUT.format(axis=axis.letter.lower())], axis.number + 3
+            sense = turns * (axis.sense if isinstance(axis, RotaryAxis) else 1)
+            index, weight = axis.places(given[axis.coordinate])
+            by_knots = np.zeros((len(weight), 1, 6, n))
+            by_knots[:, 0, error] = sense * weight[:, 0]
+            values = local.members(axis.block)[:, error]
+            row = ROWS * number + error
+            read += sense * ((weight[:, 0] * values[index]).sum(axis=0) + value[row]) + turns * zero[error]
+            disturbed[0, row] = sense
+            by_block[axis.block], by_line[0, error] = by_knots, turns
+        return Step(read, disturbed if self.machine.is_disturbed(value, local) else None, by_block)
+
+
+def line_chain(machine: Machine, positioning: bool = False) -> Chain:
+    """Return the forward model of a reading on a line, or of one of the positioning alone."""
+    if machine.turns:
+        return Chain((Undisturbed(machine), Turn(machine)))
+    return Chain((*motion(machine), Misaligned(), *([Displacement()] if positioning else [])))

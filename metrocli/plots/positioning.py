@@ -10,8 +10,8 @@ from metrocli.plots.style import Canvas
 from metrocli.result import Result
 
 _ROTARY = "ABC"
-_MILLIONTHS = {False: 1e3, True: 1e6}
-"""um in mm, or urad in rad, by whether the axis is rotary"""
+_IN_UNIT = {False: 1e3, True: np.degrees(3600.0)}
+"""um in mm, or arcsec in rad, by whether the axis is rotary"""
 _FIGURES = ("A", "R", "E", "B", "M")
 _ONE_WAY = ("A_up", "R_up", "E_up", "A_down", "R_down", "E_down")
 
@@ -26,17 +26,17 @@ class PositioningLine:
     """(n,) mm, or deg of a rotary axis"""
     up: Array
     down: Array
-    """(n,) µm or µrad: mean deviation in each direction"""
+    """(n,) µm or arcsec: mean deviation in each direction"""
     s_up: Array
     s_down: Array
-    """(n,) µm or µrad: standard deviation; nan with one run"""
+    """(n,) µm or arcsec: standard deviation; nan with one run"""
     figures: tuple[tuple[str, float], ...]
-    """A, R, E, B, M in µm or µrad, nan where a direction has one run; those of one direction if there is no other"""
+    """A, R, E, B, M in µm or arcsec, nan where a direction has one run; those of one direction if there is no other"""
 
     @property
     def units(self) -> tuple[str, str]:
         """Units of position and deviation."""
-        return ("deg", "µrad") if self.axis in _ROTARY else ("mm", "µm")
+        return ("deg", "arcsec") if self.axis in _ROTARY else ("mm", "µm")
 
 
 def data(result: Result, about: str) -> tuple[PositioningLine, ...] | None:
@@ -50,7 +50,7 @@ def data(result: Result, about: str) -> tuple[PositioningLine, ...] | None:
         key = [table.texts(name)[row] for name in ("axis", "at", "line")]
         own = np.logical_and.reduce([column == one for column, one in zip(names, key, strict=True)])
         turns = key[0] in _ROTARY
-        size = _MILLIONTHS[turns]
+        size = _IN_UNIT[turns]
         position = np.degrees(targets.numbers("angle")) if turns else targets.numbers("position")
         up, down, s_up, s_down = (targets.numbers(name)[own] * size for name in ("up", "down", "s_up", "s_down"))
         both = np.isfinite(up).all() and np.isfinite(down).all()

@@ -57,6 +57,10 @@ def tips(result: Result, commanded: Table, tool: Index) -> tuple[Array, Array, A
 
 
 def _machine(result: Result) -> Machine:
+    """Return the machine of a result; raises InputError where rotary axes were tested alone, without a chain."""
+    if "chain" not in result.statistics:
+        tested = " ".join(result.tables[AXES].texts("axis"))
+        raise InputError(f"the result has the positioning of {tested} alone: it does not predict where a tool is")
     letters = chain_of(str(result.statistics["chain"]))
     turning, tools = result.tables[AXES], result.tables["tools"]
     error, position = _listed(result)

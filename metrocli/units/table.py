@@ -95,6 +95,7 @@ _ANGLES = (
     Unit("mrad", over=KILO),
     Unit("urad", over=_MILLION),
     Unit("deg", _PI, 180.0),
+    Unit("mdeg", _PI, 180.0 * KILO, reported=False),
     Unit("arcmin", 2 * _PI, _ARCSEC_PER_TURN / 60),
     Unit("arcsec", 2 * _PI, _ARCSEC_PER_TURN),
     Unit("gon", _PI, 200.0, reported=False),
@@ -110,6 +111,13 @@ _SPEEDS = (
     Unit("um/h", over=3600.0 * KILO),
     Unit("m/s", KILO),
     Unit("m/min", KILO, 60.0),
+)
+_ANGLE_RATES = (
+    Unit("rad/s"),
+    Unit("arcsec/min", 2 * _PI, 60.0 * _ARCSEC_PER_TURN),
+    Unit("arcsec/h", 2 * _PI, 3600.0 * _ARCSEC_PER_TURN),
+    Unit("urad/min", over=60.0 * _MILLION),
+    Unit("urad/h", over=3600.0 * _MILLION),
 )
 _RATES = (
     Unit("1/s"),
@@ -157,6 +165,7 @@ _ALL = (
     Dimension("humidity", "a relative humidity", "50 percent", (Unit("percent"),), coherent=0.01),
     Dimension("pixel", "a distance in the image", "0.1 px", (Unit("px"),), "px"),
     Dimension("speed", "a speed", "0.5 um/min", _SPEEDS, "mm s-1"),
+    Dimension("angle rate", "a change of an angle with time", "1 arcsec/h", _ANGLE_RATES, "s-1"),
     Dimension("rate", "a change of a ratio with time", "1 ppm/h", _RATES, "s-1"),
     Dimension("curvature", "a curvature", "1e-6 1/mm", _CURVATURES, "mm-1"),
     Dimension("image speed", "a speed in the image", "0.1 px/h", _IMAGE_SPEEDS, "px s-1"),

@@ -193,3 +193,21 @@ def charuco(folder: Path) -> None:
     pattern = "{type: charuco, columns: 7, rows: 5, pitch: 35 mm, marker_size: 24 mm, dictionary: 4x4_50}"
     job = f"metrocli: 1\njob: calibrate-camera\nrig: board\ninputs: {{images: view*.png}}\npattern: {pattern}\n"
     (folder / "job.yaml").write_text(f"{job}camera: {{estimate: [f, cx, cy]}}\nnoise: 0.1 px\noutput: camera.h5\n")
+
+
+def axis_alone() -> dict[str, str]:
+    """A rotary axis read by an indexer at 13 targets, five times to and fro."""
+    rng = np.random.default_rng(12)
+    way = np.tile(np.append(np.arange(0, 361, 30), np.arange(360, -1, -30)), 5)
+    read = zip(way.tolist(), (np.sin(np.radians(way)) + 0.2 * rng.normal(size=len(way))).tolist(), strict=True)
+    return {
+        "job.yaml": """metrocli: 1
+job: calibrate-machine
+method: six-dof
+machine: {axes: {c: {range: [0 deg, 360 deg], knots: 13}}}
+inputs: {lines: lines.csv}
+noise: {angle: 0.2 arcsec}
+output: c.h5
+""",
+        "lines.csv": "line,axis,c_deg,ec_arcsec\n" + "".join(f"L1,c,{at},{error:.3f}\n" for at, error in read),
+    }

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from hints.bases import STATIONS, board, budget, charuco, fisheye, part, points_at_rest, two_cameras
+from hints.bases import STATIONS, axis_alone, board, budget, charuco, fisheye, part, points_at_rest, two_cameras
 from hints.edits import Edit, by, cells, exchanged, first, more, put, reordered, rows, then, times, whole, without
 from tasks.shared.images import small_jobs
 
@@ -33,7 +33,7 @@ class Row:
 BASES: dict[str, dict[str, str] | Callable[[Path], object]] = {
     "board": board(), "stations": STATIONS, "budget": {"job.yaml": budget("a + b*0")}, "fisheye": fisheye(), "relief": board(relief=15.0),
     "two-cameras": two_cameras(), "part": part(), "at-rest": points_at_rest(), "charuco": charuco,
-    "align": small_jobs.align, "network": small_jobs.network, "nothing": {},
+    "axis-alone": axis_alone(), "align": small_jobs.align, "network": small_jobs.network, "nothing": {},
 }  # fmt: skip
 
 FIT = "fit-points jobs/fit.yaml"
@@ -199,6 +199,8 @@ GRID = [
 ROTARY = [
     Row("is it in degrees? then write `{}_deg`", "five-axis", AXES, {"data/after.csv": then(times(0.1, "a_deg"), put("a_deg", "a_rad"))},
         {"data/after.csv": put("-32.546", "-132.546")}, "give a a wider range", "`a_deg`"),
+    Row("are they in {}? then write `{}_{}`", "axis-alone", "calibrate-machine job.yaml", {"lines.csv": times(0.0174532925, "c_deg")},
+        {"lines.csv": times(0.25, "c_deg")}, "no reading is near", "`c_rad`"),
     Row("{} {} in {}", "five-axis", f"{AXES} --set estimate=rotary", {"data/after.csv": then(times(0.0174532925, "a_deg", "c_deg"))},
         {"data/after.csv": times(0.3, "c_deg")}, "no reading is near", "a_deg and c_deg are in rad"),
     Row("{} and {} are exchanged: the probe finds each at the listed place of the other", "five-axis", AXES,

@@ -41,11 +41,12 @@ from metrocli.tasks.adjust_network.starts import search as network_start
 from metrocli.tasks.calibrate_machine.effects.tracker import OF_THE_LASER
 from metrocli.tasks.calibrate_machine.effects.turning import OF_ROTARY_AXES
 from metrocli.tasks.calibrate_machine.files import Files as MachineFiles
+from metrocli.tasks.calibrate_machine.machine_settings import AxesSettings, MachineSettings, RotarySettings
 from metrocli.tasks.calibrate_machine.methods.lengths import lengths as machine_lengths
 from metrocli.tasks.calibrate_machine.methods.probing import probing
 from metrocli.tasks.calibrate_machine.methods.six_dof import six_dof
 from metrocli.tasks.calibrate_machine.methods.standstill import standstill
-from metrocli.tasks.calibrate_machine.settings import MachineNoise
+from metrocli.tasks.calibrate_machine.noise_settings import MachineNoise
 from metrocli.tasks.locate_launch_unit import problem as launch_problem
 from metrocli.tasks.locate_launch_unit import readings as launch_readings
 from metrocli.tasks.multilaterate.problem import build
@@ -119,7 +120,7 @@ def calibrate_machine(effect: Effect) -> Model:
     if effect in LENGTH_EFFECTS or effect.throughout:
         return machine_from_lengths(effect.throughout, effect.name not in ("length-offset", "reflector-incidence"))
     if effect in OF_THE_LASER:
-        return machine_from_lines()
+        return axis_alone() if effect.name == "indexer-drift" else machine_from_lines()
     if effect in OF_ROTARY_AXES:
         return machine_with_tables("head-table" if effect.among == ("b",) else "table-table")
     return machine_from_points(in_faces=effect.needs == (FACE,))
@@ -199,6 +200,21 @@ def machine_from_lines() -> Model:
     settings = simulated_machine.settings("six-dof", tools={"": (0.0, 0.0, 0.0)}, noise=noise)
     problem = six_dof(settings, replace(table, columns={**table.columns, **columns}))
     problem = problem.with_model(problem.model.with_group(unit_noise(problem.readings, 1e-5)))
+    return with_conditions(problem.model.with_blocks(adjust(problem.blocks.values(), problem.groups).blocks))
+
+
+@cache
+def axis_alone() -> Model:
+    """A rotary axis read to and fro at 24 targets, twice, with times at random and an error of 5 urad once a turn."""
+    rng = np.random.default_rng(19)
+    way = np.tile(np.append(np.linspace(0, 2 * np.pi, 24), np.linspace(2 * np.pi, 0, 24)), 2)
+    names = {"line": ["L1"] * len(way), "axis": ["c"] * len(way)}
+    table = Table.of({**names, "c ec [rad]": np.stack([way, 5e-6 * np.sin(way)], axis=1)})
+    table = table.joined({"t [s]": rng.uniform(100.0, 2000.0, len(way))})
+    axes = AxesSettings(c=RotarySettings((0.0, 2 * np.pi), 13))
+    settings = replace(simulated_machine.settings("six-dof"), machine=MachineSettings(axes=axes), estimate="all")
+    problem = six_dof(replace(settings, noise=MachineNoise(angle=1e-6)), table)
+    problem = problem.with_model(problem.model.with_group(unit_noise(problem.readings, 1e-6)))
     return with_conditions(problem.model.with_blocks(adjust(problem.blocks.values(), problem.groups).blocks))
 
 

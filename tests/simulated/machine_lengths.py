@@ -10,7 +10,8 @@ from simulated import machine as sim
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine.files import Inputs
 from metrocli.tasks.calibrate_machine.machine_settings import AxesSettings, AxisSettings, MachineSettings
-from metrocli.tasks.calibrate_machine.settings import MachineNoise, Settings
+from metrocli.tasks.calibrate_machine.noise_settings import MachineNoise
+from metrocli.tasks.calibrate_machine.settings import Settings
 
 Array = sim.Array
 STATIONS = np.array([[-300.0, -480, -420], [900, -440, -130], [820, 590, -490], [-270, 530, 40], [300, -740, 90]])

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import replace
 from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -102,9 +101,7 @@ def _page(result: Path, diagnosis: Path | None, home: Path, units: str, name: st
     tables = {}
     for shown in stated.shown:
         if shown.name in stated.tables and len(stated.tables[shown.name]):
-            table = stated.tables[shown.name]
-            kept = {name: table.columns[name] for name in shown.columns or table if name in table}
-            tables[shown.name] = columns.table_text(replace(table, columns=kept))
+            tables[shown.name] = columns.table_text(shown.of(stated.tables[shown.name]))
     held = diagnosis_of(result, diagnosis, record)
     job = name or (_from(home, result.parent / record.job_file) if record.job_file else "JOB.yaml")
     record = with_standards(result, record)

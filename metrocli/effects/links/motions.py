@@ -236,3 +236,20 @@ class LineTerm(OfBlock):
         moved[:3] += by_block[:, 0] * local.rows(self.block)
         derivative[:3] = by_block
         return Step(moved, np.eye(6)[:, :, None], {self.block: derivative})
+
+
+@dataclass(frozen=True)
+class ZeroDrift(OfBlock):
+    """Drift of the zero of an angle that is read about a rotary axis: `e += rate t`; column rate [rad/s]."""
+
+    takes = gives = Quantity.ANGLE
+
+    @property
+    def blocks(self) -> tuple[str, ...]:
+        """The block of lines, which only readings on lines have, and its own block."""
+        return (LINE, self.block)
+
+    def step(self, value: Array, local: LinkContext) -> Step:
+        """Return the angle (1, n)."""
+        elapsed = local.observations.conditions[ELAPSED][None]
+        return Step(value + local.rows(self.block) * elapsed, np.ones((1, 1, 1)), {self.block: elapsed[None]})

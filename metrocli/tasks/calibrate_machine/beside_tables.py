@@ -17,6 +17,21 @@ from metrocli.tasks.calibrate_machine.tables import Tables
 from metrocli.tasks.shared.statistics import columns_with_std
 
 
+def linear_axes(machine: Machine) -> Table:
+    """Return the linear axes with their range and knots."""
+    linear = [(i, axis) for i, axis in enumerate(machine.axes) if not isinstance(axis, RotaryAxis)]
+    return Table.of(
+        {
+            "axis": [axis.letter for _, axis in linear],
+            "low [mm]": [axis.knots[0] for _, axis in linear],
+            "high [mm]": [axis.knots[-1] for _, axis in linear],
+            "knots": [len(axis.knots) for _, axis in linear],
+            "reference [mm]": [axis.reference for _, axis in linear],
+            "place": [machine.order.index(i) + 1 for i, _ in linear],
+        }
+    )
+
+
 def rotary_axes(machine: Machine) -> dict[str, Table]:
     """Return the rotary axes with a point of their nominal line, if there are any."""
     turning = [(i, axis) for i, axis in enumerate(machine.axes) if isinstance(axis, RotaryAxis)]

@@ -34,6 +34,8 @@ from metrocli.tasks.calibrate_machine.settings import TURNING, Settings
 
 _OUTSIDE = 1e-3
 """Positions may be outside the range by this [mm, deg]: rounding of the control"""
+_GON = 0.9
+"""A gon in degrees"""
 _SUPPORT = 0.02
 """A knot is supported if some reading gives it at least this interpolation weight"""
 
@@ -41,13 +43,18 @@ _SUPPORT = 0.02
 def machine_of(settings: Settings) -> Machine:
     """Return the machine with equally spaced knots that the settings describe.
 
-    Methods that read linear axes alone have it without its rotary axes, which are at rest.
+    Methods that read linear axes alone have it without its rotary axes, which are at rest; lines along rotary axes have
+    it without the others.
     """
-    machine = settings.machine
+    machine, tools = settings.machine, np.array(list(settings.tools.values()))
+    if settings.angular:
+        named = machine.axes.turning.items()
+        alone = tuple(_turning(name, axis, False) for name, axis in named if f"E{name}{name}" in settings.estimated)
+        return Machine(tuple(range(len(alone))), alone, tools=tools)
     if not machine.turns or settings.method not in TURNING:
         given, rest = machine.axes.given, AxisSettings((0.0, 100.0), 2)  # an axis not given stands still
         axes = tuple(_linear(letter, given.get(letter, rest)) for letter in AXES)
-        return Machine(axis_order(machine.chain), axes, tools=np.array(list(settings.tools.values())))
+        return Machine(axis_order(machine.chain), axes, tools=tools)
     letters = machine.letters
     bed = letters.index("b")
     linear = [_linear(letter, machine.axes.given[letter]) for letter in AXES if letter in letters]
@@ -58,7 +65,7 @@ def machine_of(settings: Settings) -> Machine:
     ]
     axes = (*linear, *turning)
     order = tuple([axis.letter for axis in axes].index(letter) for letter in letters if letter != "b")
-    return Machine(order, axes, bed, np.array(list(settings.tools.values())))
+    return Machine(order, axes, bed, tools)
 
 
 def _linear(letter: str, axis: AxisSettings) -> Axis:
@@ -67,7 +74,7 @@ def _linear(letter: str, axis: AxisSettings) -> Axis:
 
 def _turning(letter: str, axis: RotarySettings, head: bool) -> RotaryAxis:
     knots = np.linspace(*axis.range, axis.knots)
-    return RotaryAxis(letter, knots, axis.at, axis.sense, axis.any_turn, head)
+    return RotaryAxis(letter, knots, axis.at or (0.0, 0.0, 0.0), axis.sense, axis.any_turn, head)
 
 
 def error_names(machine: Machine) -> tuple[str, ...]:
@@ -121,10 +128,28 @@ def commanded(machine: Machine, table: Table) -> Array:
         for number, row in zip(*np.nonzero(outside), strict=True)
         for axis in [machine.axes[number]]
     ]
+    if faults and machine.turns and _fits_otherwise(machine, table):
+        # a fault without row and hint: a task then tries what may be wrong in the file
+        raise InputError([table.fault(f"{len(faults)} positions are outside the ranges of their axes")])
     if faults:
         more = [table.fault(f"and {len(faults) - 5} more such rows")] if len(faults) > 5 else []
         raise InputError(faults[:5] + more)
     return position
+
+
+def _fits_otherwise(machine: Machine, table: Table) -> bool:
+    """Return whether all angles lie in the ranges of the axes if two are exchanged, or if gon are called degrees."""
+    turning = [axis for axis in machine.axes if isinstance(axis, RotaryAxis)]
+    read = [table.numbers(axis.letter.lower()) for axis in turning]
+    return any(
+        all(_inside(axis, factor * own) for axis, own in zip(turning, angles, strict=True))
+        for factor, angles in ((1.0, read[::-1]), (_GON, read))
+    )
+
+
+def _inside(axis: RotaryAxis, angle: Array) -> bool:
+    margin, own = np.radians(_OUTSIDE), axis.wrapped(angle)
+    return bool(own.min() >= axis.knots[0] - margin and own.max() <= axis.knots[-1] + margin)
 
 
 def _outside(axis: Axis, position: float, table: Table) -> str:
@@ -134,7 +159,10 @@ def _outside(axis: Axis, position: float, table: Table) -> str:
         return "the columns x, y, z hold the commanded positions"
     in_rad = table.headings.get(letter, "").endswith("_rad")
     as_degrees = in_rad and axis.knots[0] <= np.radians(position) <= axis.knots[-1]
-    return f"is it in degrees? then write `{letter}_deg`" if as_degrees else f"give {letter} a wider range"
+    if as_degrees:
+        return f"is it in degrees? then write `{letter}_deg`"
+    one_turn = abs(float(np.ptp(axis.knots)) - 2 * np.pi) < _OUTSIDE and not axis.periodic
+    return f"give {letter} a wider range" + ", or `periodic: true` if it takes any turn" * one_turn
 
 
 def must_have_axes(machine: Machine, table: Table) -> None:
@@ -165,11 +193,11 @@ def _wrapped(axis: Axis, position: Array) -> Array:
     return axis.wrapped(position) if isinstance(axis, RotaryAxis) else position
 
 
-def placed(axis: Axis, position: float, unit: str | None = None) -> str:
+def placed(axis: Axis, position: float, unit: str | None = None, decimals: int = 9) -> str:
     """Return a position of an axis as people write it: `12 mm`, `-90 deg`."""
     turns = isinstance(axis, RotaryAxis)
     own = ("deg" if turns else "mm") if unit is None else unit
-    return f"{float(np.degrees(position)) if turns else float(position):g} {own}".strip()
+    return f"{round(float(np.degrees(position)) if turns else float(position), decimals) + 0.0:g} {own}".strip()
 
 
 def must_support(machine: Machine, position: Array, blocks: Mapping[str, Block]) -> None:

@@ -76,6 +76,9 @@ def _delivered(machine: Machine, model: Model) -> Delivered:
     if not with_tables and places:
         return Delivered("places of the rotary axes", places[0], (0, 1), "um", "length", tuple(places[1:]))
     first, *others = (axis.block for axis in machine.axes)
+    if machine.only_turns and not any(model.blocks[axis.block].free[:, :3].any() for axis in machine.axes):
+        angles = {axis.block: axis.from_raw[3:] for axis in machine.axes}
+        return Delivered("error tables", first, (3, 4, 5), "arcsec", "angle", tuple(others), angles)
     tables = {axis.block: axis.from_raw[:3] for axis in machine.axes}
     return Delivered("error tables", first, (0, 1, 2), "um", "length", tuple(others), tables)
 
@@ -127,8 +130,9 @@ def covariates(model: Model) -> Iterator[Covariate]:
     else:
         order = np.arange(group.observations.count, dtype=float)
         yield Covariate("order of the readings", {name: order}, 6, periodic=True)
-    position = np.stack([conditions[axis] for axis in NOMINAL])
-    yield Covariate("place in the machine", {name: position}, 3)
+    if NOMINAL[0] in conditions:
+        position = np.stack([conditions[axis] for axis in NOMINAL])
+        yield Covariate("place in the machine", {name: position}, 3)
     joined = (link for link in group.chain.links if isinstance(link, LINKS) and not isinstance(link, ReachedPoint))
     axes = {axis.letter: axis for link in joined for axis in link.machine.axes}
     for axis in (moved for moved in axes.values() if isinstance(moved, RotaryAxis)):

@@ -43,17 +43,17 @@ TRACK = Columns(
 LINES = Columns(
     columns(
         "line axis [text]",
-        "position [length]",
+        "position? [length]",
         "ex?* ey?* ez?* [length]",
         "ea?* eb?* ec?* [angle]",
-        "x? y? z? [length]",
+        *AXES,
         "t? [time]",
         "temp? [temperature]",
     ),
     (),
-    "lines of a laser with six degrees of freedom, or the displacement along single axes only",
+    "lines of a laser with six degrees of freedom, or what is read of the positioning of single axes alone",
     measured=("ex", "ey", "ez", "ea", "eb", "ec"),
-    alike=("axis", "position"),
+    alike=("axis", "position", "a", "b", "c"),
     group=("line",),
 )
 
@@ -77,7 +77,7 @@ PROBING = Columns(
     columns("ball [text]", *AXES, "dx? dy? dz? [length]", "tool? [text]", "t? [time]", "temp? [temperature]", _SIDES),
     (),
     "commanded poses, and the displacement of a ball against the probe there",
-    measured=("dx", "dy", "dz"),
+    measured=("x", "y", "z", "dx", "dy", "dz"),
     alike=("ball",),
 )
 BALLS = Columns((*columns("ball [text]", "x y z [length]"), *SIGMAS), ("ball",), "approximate places of the balls")

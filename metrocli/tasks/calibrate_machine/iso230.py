@@ -22,7 +22,7 @@ from metrocli.words import in_a_row, listed
 
 _SAME = 0.01
 """Targets of two runs are the same within this [mm, deg]"""
-_RUNS, _TARGETS, _LONG = 5, 5, 2000.0
+RUNS, _TARGETS, _LONG = 5, 5, 2000.0
 """Runs in each direction, and targets per metre and at least, that ISO 230-2:2014 asks for on axes up to this travel"""
 _PER_METRE = 1000.0
 _TARGETS_OF_RANGE = ((90.0, 3), (180.0, 5), (360.0, 8))
@@ -75,7 +75,7 @@ def positioning(runs: Sequence[Run], known: LineUncertainty) -> tuple[Table | No
     if not whole:
         return None, warnings
     evaluated = [figures(line.up, line.down) for line in whole]
-    spread = [expanded(line.up, line.down, line.targets, known) for line in whole]
+    spread = [expanded(line.up, line.down, _internal(line.axis, line.targets), known) for line in whole]
     table = Table.of(
         {
             "axis": [line.axis for line in whole],
@@ -94,6 +94,11 @@ def positioning(runs: Sequence[Run], known: LineUncertainty) -> tuple[Table | No
         }
     )
     return table, warnings
+
+
+def _internal(axis: str, targets: Array) -> Array:
+    """Return targets of an axis [mm, deg] in internal units."""
+    return np.radians(targets) if axis in ANGLES else targets
 
 
 def _unit_of_deviation(axis: str) -> str:
@@ -168,12 +173,6 @@ def _listed(targets: Array, unit: str) -> str:
     return in_a_row([f"{target:g} {unit}" for target in targets.tolist()])
 
 
-def others_at(axis: str, at: Sequence[float]) -> str:
-    """Return the positions of the other linear axes [mm], in words."""
-    others = [other for other in AXES if other != axis]
-    return ", ".join(f"{other} = {place:g} mm" for other, place in zip(others, at, strict=False))
-
-
 def at_targets(runs: Sequence[Run]) -> Table | None:
     """Return mean and standard deviation (nan of one run) in each direction at each target of the same lines."""
     parts = []
@@ -181,7 +180,8 @@ def at_targets(runs: Sequence[Run]) -> Table | None:
         texts = {"axis": one.axis, "at": one.at, "line": one.name}
         labels = {name: np.full(len(one.targets), text) for name, text in texts.items()}
         numbers = np.concatenate(at_each_target(one.up, one.down))
-        places = {"position [mm]": one.targets} if one.axis in AXES else {"angle [rad]": np.radians(one.targets)}
+        heading = "position [mm]" if one.axis in AXES else "angle [rad]"
+        places = {heading: _internal(one.axis, one.targets)}
         parts.append(Table.of({**labels, **places, f"up down s_up s_down [{_unit_of_deviation(one.axis)}]": numbers.T}))
     return Table.stack(parts) if parts else None
 
@@ -199,9 +199,9 @@ def _too_few(lines: Sequence[_LineRuns]) -> list[str]:
     targets: dict[tuple[str, int, float], list[str]] = {}
     for line in lines:
         travel, up, down, count = float(np.ptp(line.targets)), len(line.up), len(line.down), len(line.targets)
-        if travel <= _LONG and min(up, down) < _RUNS:
+        if travel <= _LONG and min(up, down) < RUNS:
             runs.setdefault((line.axis, up, down), []).append(f"'{line.name}'")
-        if line.axis in AXES and travel <= _LONG and count < max(_TARGETS, ceil(_TARGETS * travel / _PER_METRE)):
+        if line.axis in AXES and travel <= _LONG and count < fewest_targets(line.axis, travel):
             targets.setdefault((line.axis, count, travel), []).append(f"'{line.name}'")
     return [
         *(
@@ -215,19 +215,23 @@ def _too_few(lines: Sequence[_LineRuns]) -> list[str]:
             for (axis, count, travel), names in targets.items()
         ),
         *(
-            f"axis {line.axis}, at {line.at or 'rest'}: {len(line.targets)} targets over {np.ptp(line.targets):g} deg; "
-            f"{_ASKS} {_fewest(line.targets)}"
+            f"axis {one.axis}, {_where(one)}: {len(one.targets)} targets over {np.ptp(one.targets):g} deg; {_ASKS} "
+            f"{fewest_targets(one.axis, float(np.ptp(one.targets)))}"
             for one in lines
-            if line.axis in ANGLES and len(line.targets) < _fewest(line.targets)
+            if one.axis in ANGLES and len(one.targets) < fewest_targets(one.axis, float(np.ptp(one.targets)))
         ),
     ]
 
 
-def _fewest(targets: Array) -> int:
-    """Return the fewest targets [deg] of a rotary axis (ISO 230-2:2014, 4.3.3)."""
-    return next(
-        (count for most, count in _TARGETS_OF_RANGE if np.ptp(targets) <= most + _SAME), _TARGETS_OF_RANGE[-1][1]
-    )
+def _where(line: _LineRuns) -> str:
+    return f"line '{line.name}'" if line.name else f"at {line.at or 'rest'}"
+
+
+def fewest_targets(axis: str, travel: float) -> int:
+    """Return the fewest targets over a travel [mm, deg] of an axis (ISO 230-2:2014)."""
+    if axis in AXES:
+        return max(_TARGETS, ceil(_TARGETS * travel / _PER_METRE))
+    return next((count for most, count in _TARGETS_OF_RANGE if travel <= most + _SAME), _TARGETS_OF_RANGE[-1][1])
 
 
 def _apart(lines: Iterable[tuple[str, str, str]]) -> list[str]:

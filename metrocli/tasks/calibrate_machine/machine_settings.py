@@ -41,7 +41,9 @@ class RotarySettings:
 
     range: tuple[float, float] = setting(ListOf(WithUnit("angle"), 2), "lowest and highest position")
     knots: int = setting(Whole(2, 2000), "knots of each error table, ends included")
-    at: tuple[float, ...] = setting(VECTOR, "a point of its nominal line, in the machine with all axes at 0")
+    at: tuple[float, ...] | None = setting(
+        VECTOR, "a point of its nominal line, in the machine with all axes at 0; six-dof needs none", default=None
+    )
     sense: int = setting(
         Whole(-1, 1), "-1 where it counts against the right-handed turn of the tool against the workpiece", default=1
     )
@@ -138,8 +140,8 @@ class MachineSettings:
             turning = self.axes.turning
             for letter in (angle for angle in ANGLES if angle in letters and angle not in turning):
                 yield "axes", f"the chain has {letter}, but no axis is given: write `{letter.lower()}: {_EXAMPLE}`"
-            for letter in (name for name in turning if name not in letters):
-                yield f"axes.{letter.lower()}", f"the chain {self.chain} has no {letter}: add it there, or leave this"
+            for letter in (name for name, axis in turning.items() if name in letters and axis.at is None):
+                yield f"axes.{letter.lower()}", f"the key 'at' is missing: a point of the line of {letter}; {_EXAMPLE}"
             linear = self.axes.given
             for letter in (name for name in AXES if self.turns and (name in letters) != (name in linear)):
                 there = "the axes" if letter in letters else f"the chain {self.chain}"

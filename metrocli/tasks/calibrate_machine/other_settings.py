@@ -9,8 +9,10 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from itertools import permutations
+from itertools import combinations, permutations
 from typing import Any
+
+import numpy as np
 
 from metrocli.diagnosis.corrections import Mistake
 from metrocli.instruments.machine import ANGLES, AXES, axis_order
@@ -30,12 +32,27 @@ _Other = tuple[Mistake, MachineSettings]
 def other_settings(job: Job[Settings, Files], fits: bool) -> Iterator[tuple[Mistake, Job[Settings, Files]]]:
     """Yield what may be wrong in the settings, with the job that is right then; nothing if a declared noise fits."""
     noise = job.settings.noise
+    if job.settings.angular:
+        return
     if fits and noise.model == DECLARED and noise.repeatability != ESTIMATED:
         return
     listed = job.settings.machine
     turned = () if fits else (*_turned(listed), *_rotary(listed))
     for mistake, machine in (*_chains(listed), *_other_tools(listed), *turned):
         yield mistake, replace(job, settings=replace(job.settings, machine=machine))
+    if not fits:
+        yield from _zenith(job)
+
+
+def _zenith(job: Job[Settings, Files]) -> Iterator[tuple[Mistake, Job[Settings, Files]]]:
+    """Yield zenith distances that are called elevations."""
+    points = job.files.points
+    if points is not None and "elevation" in points:
+        heading = points.headings.get("elevation", "elevation_rad")
+        words, write = f"{heading} has zenith distances", f"90 deg minus the numbers of {heading}"
+        mistake = Mistake("points", words, write, file=points.file, sort="zenith")
+        other = points.joined({"elevation [rad]": np.pi / 2 - points.numbers("elevation")})
+        yield mistake, replace(job, files=replace(job.files, points=other))
 
 
 def _chains(machine: MachineSettings) -> Iterator[_Other]:
@@ -59,16 +76,22 @@ def _rotary(machine: MachineSettings) -> Iterator[_Other]:
         key, where = letter.lower(), f"machine.axes.{letter.lower()}"
         mistake = Mistake(f"{where}.sense", f"{letter} counts the other way", f"sense: {-axis.sense}")
         yield mistake, _with_axis(machine, key, replace(axis, sense=-axis.sense))
-        for at, size in enumerate(axis.at):
+        for at, size in enumerate(axis.at or ()):
             if size:
-                place = tuple(-coordinate if k == at else coordinate for k, coordinate in enumerate(axis.at))
+                place = tuple(-coordinate if k == at else coordinate for k, coordinate in enumerate(axis.at or ()))
                 words = f"{'xyz'[at]} of the place of {letter} has the wrong sign"
                 written = ", ".join(f"{coordinate:g} mm" for coordinate in place)
                 mistake = Mistake(f"{where}.at", words, f"at: [{written}]")
                 yield mistake, _with_axis(machine, key, replace(axis, at=place))
-    for chain in dict.fromkeys(_exchanged(machine.letters)) if machine.turns else ():
-        words = "tables and heads are exchanged"
-        yield Mistake("machine.chain", words, f"chain: {chain}"), replace(machine, chain=chain)
+    if machine.turns:
+        for chain in dict.fromkeys(_exchanged(machine.letters)):
+            yield (
+                Mistake("machine.chain", "tables and heads are exchanged", f"chain: {chain}"),
+                replace(machine, chain=chain),
+            )
+        for chain in _reordered(machine.letters):
+            words = f"the order of the rotary axes is that of {chain}"
+            yield Mistake("machine.chain", words, f"chain: {chain}"), replace(machine, chain=chain)
 
 
 def _with_axis(machine: MachineSettings, key: str, axis: RotarySettings) -> MachineSettings:
@@ -88,6 +111,14 @@ def _exchanged(letters: Sequence[str]) -> Iterator[str]:
                 yield chain
 
 
+def _reordered(letters: Sequence[str]) -> Iterator[str]:
+    """Yield the chains in which two rotary axes have each other's place."""
+    turning = [letter for letter in letters if letter in ANGLES]
+    if len(turning) > 1:
+        other = dict(zip(turning, reversed(turning), strict=True))
+        yield f"w{''.join(other.get(letter, letter) for letter in letters)}t"
+
+
 def _other_tools(machine: MachineSettings) -> Iterator[_Other]:
     """Yield tool vectors that the readings determine; they do not control a single one."""
     if len(machine.tools or {}) > 1 and machine.tool_std < _VAGUE:
@@ -98,9 +129,9 @@ def _other_tools(machine: MachineSettings) -> Iterator[_Other]:
 
 
 def _turned(machine: MachineSettings) -> Iterator[_Other]:
-    """Yield each tool vector of several with a component of the other sign."""
+    """Yield each tool vector of several, or one that turns, with a component of the other sign; and two exchanged."""
     tools = machine.tools or {}
-    for name, vector in tools.items() if len(tools) > 1 else ():
+    for name, vector in tools.items() if len(tools) > 1 or machine.turns else ():
         for at in (at for at, size in enumerate(vector) if size):
             turned = tuple(-coordinate if k == at else coordinate for k, coordinate in enumerate(vector))
             axis = "xyz"[at]
@@ -108,3 +139,8 @@ def _turned(machine: MachineSettings) -> Iterator[_Other]:
                 "machine.tools", f"{axis} of {name} has the wrong sign", f"{axis} of {name} with the other sign"
             )
             yield mistake, replace(machine, tools={**tools, name: turned})
+    for one, other in combinations(tools, 2) if machine.turns else ():
+        words, names = f"the tools {one} and {other} are under each other's names", {one: other, other: one}
+        vectors = {name: tools[names.get(name, name)] for name in tools}
+        mistake = Mistake("machine.tools", words, f"the vector of {one} for {other}, and that of {other} for {one}")
+        yield mistake, replace(machine, tools=vectors)

@@ -60,8 +60,8 @@ class MachineProblem(Modelled):
     """Standard deviations of lengths, which follow from the solution; None for other readings"""
     notes: tuple[str, ...] = ()
     """What was done with the readings, in sentences"""
-    displacement_only: bool = False
-    """Whether only positioning along single axes was read, so that nothing is known of the volume"""
+    positioning_alone: bool = False
+    """Whether only the positioning of single axes was read, so that nothing is known of the volume"""
     sees_bed: bool = False
     """Whether the instrument stands on the bed of a machine with rotary axes"""
     given: tuple[str, ...] = ()
@@ -193,7 +193,9 @@ def conditions(
     `place` (3, n) is the nominal place of the point that is read, unless it is the commanded position. Raises
     InputError if a direction of approach is not -1, 0 or 1.
     """
-    columns = machine.conditions(position) | dict(zip(NOMINAL, position[:3] if place is None else place, strict=True))
+    columns = machine.conditions(position)
+    if place is not None or not machine.only_turns:
+        columns |= dict(zip(NOMINAL, position[:3] if place is None else place, strict=True))
     if table is not None:
         _refuse_sides(table)
         columns |= table.conditions("t", "temp", *ALL_SIDES)

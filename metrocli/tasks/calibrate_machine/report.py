@@ -12,17 +12,18 @@ from metrocli.adjust.solution import Solution
 from metrocli.effects.estimates import estimates as effect_estimates
 from metrocli.effects.estimates import free_blocks
 from metrocli.effects.estimates import tables as effect_results
-from metrocli.instruments.axes.rotary import RotaryAxis
 from metrocli.instruments.machine import SQUARENESS, SQUARENESS_NAMES, TOOL
+from metrocli.instruments.six_dof import ANGULAR
 from metrocli.result import Estimate, Result, ShownTable
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine import KIND
 from metrocli.tasks.calibrate_machine.acceptance.mount import mount
 from metrocli.tasks.calibrate_machine.acceptance.paths import paths
 from metrocli.tasks.calibrate_machine.acceptance.rotary_motion import rotary_motion
-from metrocli.tasks.calibrate_machine.acceptance.runs import positioning_of
+from metrocli.tasks.calibrate_machine.acceptance.runs import positioning_of, shown_figures
 from metrocli.tasks.calibrate_machine.beside_tables import (
     entries,
+    linear_axes,
     lines,
     on_workpiece,
     positions,
@@ -75,7 +76,8 @@ def report(solved: AdjustedMachine, settings: Settings, noise: NoiseFound, liste
     where = mount(solved.problem.machine, solution)
     turning, along = rotary_motion(tables, _known(identified)), paths(tables, solved, settings, listed)
     volume = {}
-    if not solved.problem.displacement_only:
+    alone = solved.problem.positioning_alone
+    if not alone:
         volume = volume_tables(tables, identified, settings.volume, solved.problem.tools_used)
     tools = (TOOL,) if solution.blocks[TOOL].free.any() else ()
     estimates = (*_estimates(solution), *effect_estimates(added, solution))
@@ -91,7 +93,7 @@ def report(solved: AdjustedMachine, settings: Settings, noise: NoiseFound, liste
             **{f"tables/{name}": _table(tables, name, identified) for name in _wanted(identified)},
             "errors": _errors(tables, identified),
             "squareness": _squareness(tables, identified),
-            "axes": _axes(tables),
+            "axes": linear_axes(tables.machine),
             **rotary_axes(tables.machine),
             **turning,
             **along,
@@ -117,7 +119,8 @@ def report(solved: AdjustedMachine, settings: Settings, noise: NoiseFound, liste
         shown=(
             ShownTable("errors", ("error", "status", "with", "largest", "largest_std", "unit")),
             ShownTable("volumetric"),
-            *map(ShownTable, (*where, *turning, *list(along)[:1], *figures)),
+            *map(ShownTable, (*where, *turning, *list(along)[:1])),
+            *(shown_figures(name, table) for name, table in figures.items()),
             *([ShownTable("suspects")] if len(solved.suspects.rows) else []),
         ),
         notes=(*_notes(solved, settings, noise), *in_words(hidden)),
@@ -132,7 +135,7 @@ def _notes(solved: AdjustedMachine, settings: Settings, noise: NoiseFound) -> It
     yield from solved.problem.notes
     yield from _at_20_degrees(settings)
     yield from solved.problem.noise.notes if solved.problem.noise else ()
-    if not solved.problem.displacement_only:
+    if not solved.problem.positioning_alone:
         yield NOT_CONTAINED
     yield from found_notes(noise)
     yield from noise_notes(noise.solution, cures(settings))
@@ -179,7 +182,7 @@ def _table(tables: Tables, name: str, identified: Identifiability) -> Table:
 
 
 def _errors(tables: Tables, identified: Identifiability) -> Table:
-    names = identified.names
+    names = _wanted(identified) if identified.problem.positioning_alone else identified.names
     of = [tables.of(name) for name in names]
     open_ones = np.array([identified.status[name] == Determination.UNDETERMINED for name in names])
     largest = np.array([np.abs(value).max() for _, value, _ in of])
@@ -208,21 +211,6 @@ def _squareness(tables: Tables, identified: Identifiability) -> Table:
             "s_end_points [rad]": [std[0] for _, _, std in ends],
             "least_squares [rad]": lsq,
             "s_least_squares [rad]": np.sqrt(np.maximum(np.diag(covariance), 0.0)),
-        }
-    )
-
-
-def _axes(tables: Tables) -> Table:
-    machine = tables.machine
-    linear = [(i, axis) for i, axis in enumerate(machine.axes) if not isinstance(axis, RotaryAxis)]
-    return Table.of(
-        {
-            "axis": [axis.letter for _, axis in linear],
-            "low [mm]": [axis.knots[0] for _, axis in linear],
-            "high [mm]": [axis.knots[-1] for _, axis in linear],
-            "knots": [len(axis.knots) for _, axis in linear],
-            "reference [mm]": [axis.reference for _, axis in linear],
-            "place": [machine.order.index(i) + 1 for i, _ in linear],
         }
     )
 
@@ -257,7 +245,7 @@ def _residuals(solved: AdjustedMachine) -> Table:
     }
     columns: dict[str, Any] = {**observations.keys, **places}
     for i, component in enumerate(observations.components):
-        unit = "rad" if component in ("ea", "eb", "ec") else "mm"
+        unit = "rad" if component in ANGULAR else "mm"
         columns |= {
             f"residual_{component} [{unit}]": residuals.values[i],
             f"sigma_{component} [{unit}]": observations.deviations[i],
@@ -280,14 +268,13 @@ def _named_tests(solved: AdjustedMachine, names: list[str], tests: list[float]) 
 
 def _statistics(solved: AdjustedMachine, settings: Settings) -> Statistics:
     identified, values = solved.identified, solved.residuals.values
-    lengths = np.array([name not in ("ea", "eb", "ec") for name in solved.problem.readings.observations.components])
-    rms = {"mm": float(np.sqrt((values[lengths] ** 2).mean()))}
-    if not lengths.all():
-        rms["rad"] = float(np.sqrt((values[~lengths] ** 2).mean()))
+    angles = np.array([name in ANGULAR for name in solved.problem.readings.observations.components])
+    parts = {"mm": values[~angles], "rad": values[angles]}
+    rms = {unit: float(np.sqrt((part**2).mean())) for unit, part in parts.items() if part.size}
     return {
         **basic_statistics(solved.solution, rms),
         "method": settings.method,
-        "chain": settings.machine.chain,
+        **({} if settings.angular else {"chain": settings.machine.chain}),
         "sign": SIGN,
         "straightness": "zero at both ends",
         "rank": identified.rank,

@@ -9,13 +9,14 @@ from metrocli.frozen import dataclass
 from metrocli.instruments.axes.rotary import LOCATIONS, ROTARY_NAMES, SPINDLE_NAMES, WORDS, errors_by_word
 from metrocli.instruments.machine import ALL_NAMES, ANGLES, AXES, SQUARENESS_NAMES, canonical, is_angle
 from metrocli.settings import Choice, Either, Flag, ListOf, Section, Whole, WithUnit, setting
+from metrocli.tasks.calibrate_machine.acceptance.wanted import Positioning, VolumeGrid
 from metrocli.tasks.calibrate_machine.files import Inputs
 from metrocli.tasks.calibrate_machine.machine_settings import ESTIMATED, VECTOR, MachineSettings
+from metrocli.tasks.calibrate_machine.noise_settings import MachineNoise
 from metrocli.tasks.calibrate_machine.plans.wanted import PathPlan
 from metrocli.tasks.shared.environment import Environment
 from metrocli.tasks.shared.figures import adjusted
-from metrocli.tasks.shared.lengths import REPEATABILITY, REPEATABILITY_WORDS, LengthNoise, Scale
-from metrocli.tasks.shared.noise import model_setting
+from metrocli.tasks.shared.lengths import Scale
 from metrocli.tasks.shared.part import Warm
 
 ON_THE_FLY, STANDSTILL, SIX_DOF, LENGTHS, PROBING = "on-the-fly", "standstill", "six-dof", "lengths", "probing"
@@ -48,91 +49,6 @@ _NOISE = {
     PROBING: ("probing",),
 }
 """Standard deviations that each method needs"""
-
-
-@dataclass(frozen=True)
-class LateralNoise:
-    """Standard deviation perpendicular to the beam, `sqrt(c^2 + (p r)^2)` at distance r."""
-
-    constant: float = setting(WithUnit("length", minimum=0.0), "c: the part that does not depend on the distance")
-    proportional: float = setting(WithUnit("ratio", minimum=0.0), "p: the part proportional to it", default=0.0)
-
-
-_LATERAL = Either(WithUnit("length", positive=True), Section(LateralNoise))
-
-
-@dataclass(frozen=True)
-class MachineNoise:
-    """Standard deviations of the tracker (beam, lateral), the laser (displacement ...) or lengths (constant ...)."""
-
-    beam: float | None = setting(WithUnit("length", positive=True), "tracker: along the beam", default=None)
-    lateral: float | LateralNoise | None = setting(_LATERAL, "tracker: perpendicular to the beam", default=None)
-    radial: float | LateralNoise | None = setting(_LATERAL, "another name of lateral", default=None)
-    displacement: float | None = setting(WithUnit("length", positive=True), "six-dof: along the beam", default=None)
-    straightness: float | None = setting(
-        WithUnit("length", positive=True), "six-dof: perpendicular to the beam", default=None
-    )
-    angle: float | None = setting(WithUnit("angle", positive=True), "six-dof: angles", default=None)
-    constant: float | None = setting(
-        WithUnit("length", positive=True), "lengths: the part that does not depend on the length", default=None
-    )
-    proportional: float = setting(
-        WithUnit("ratio", minimum=0.0), "lengths: the part proportional to the path", default=0.0
-    )
-    probing: float | None = setting(
-        WithUnit("length", positive=True), "probing: each coordinate of a ball's centre", default=None
-    )
-    repeatability: float | str | None = setting(REPEATABILITY, f"lengths: {REPEATABILITY_WORDS}", default=None)
-
-    model: str = model_setting()
-
-    @property
-    def of_lengths(self) -> LengthNoise:
-        """The noise of lengths."""
-        return LengthNoise(self.constant or 0.0, self.proportional, self.repeatability)
-
-    @property
-    def square(self) -> LateralNoise:
-        """The noise perpendicular to the beam, from `lateral` or its other name `radial`; zero if neither is given."""
-        given = self.lateral if self.lateral is not None else self.radial
-        return given if isinstance(given, LateralNoise) else LateralNoise(given or 0.0)
-
-    def faults(self) -> Iterator[tuple[str, str]]:
-        """Yield a fault if both lateral and radial are given, or if the lateral noise is zero."""
-        if self.lateral is not None and self.radial is not None:
-            yield "radial", "lateral and radial are two names of one setting: keep one of them"
-        given = self.lateral if self.lateral is not None else self.radial
-        if isinstance(given, LateralNoise) and given.constant == given.proportional == 0.0:
-            yield "lateral", "the noise is zero, so readings would have infinite weight: give constant or proportional"
-
-
-@dataclass(frozen=True)
-class VolumeGrid:
-    """The grid on which the error of the tool is predicted over the volume."""
-
-    grid: tuple[int, ...] | None = setting(
-        ListOf(Whole(2, 50)), "points along x, y, z, and each rotary axis (default: 7, 6, 6; 5 with them)", default=None
-    )
-    circle: float | None = setting(
-        WithUnit("length", positive=True), "radius of the circular tests (default: 0.4 of the travel)", default=None
-    )
-
-    def counts(self, axes: int = 3) -> tuple[int, ...]:
-        """Return the number of points along each axis."""
-        usual = (7, 6, 6) if axes == len(AXES) else (5,) * axes
-        return usual if self.grid is None or len(self.grid) != axes else self.grid
-
-
-@dataclass(frozen=True)
-class Positioning:
-    """What the figures of ISO 230-2 are uncertain by, besides the noise of the displacement."""
-
-    scale: float = setting(
-        WithUnit("ratio", minimum=0.0), "standard uncertainty of all distances in common", default=0.0
-    )
-    environment: float = setting(
-        WithUnit("length", minimum=0.0), "range of the readings at rest over the time of a test (E_VE)", default=0.0
-    )
 
 
 @dataclass(frozen=True)
@@ -207,9 +123,30 @@ class Settings:
     plan: PathPlan | None = setting(Section(PathPlan), "requirements for `metrocli plan`", default=None)
 
     @property
+    def _names(self) -> tuple[str, ...]:
+        return self.estimate if isinstance(self.estimate, tuple) else (self.estimate,)
+
+    @property
+    def angular(self) -> bool:
+        """Whether six-dof reads rotary axes: the job has no others, or estimates only their angles."""
+        turning = self.machine.axes.turning
+        named = set(self._names) <= {f"E{letter}{letter}" for letter in turning}
+        return self.method == SIX_DOF and bool(turning) and (named or not self.machine.axes.given)
+
+    @property
+    def reads_positioning(self) -> bool:
+        """Whether six-dof can read no more than the positioning of single axes: the noise of other channels lacks."""
+        noise, three = self.noise, len(self.machine.axes.given) == len(AXES)
+        return self.method == SIX_DOF and (
+            self.angular or noise.straightness is None or noise.angle is None or not three
+        )
+
+    @property
     def estimated(self) -> tuple[str, ...]:
         """Names of the errors to estimate, in the spelling of this program."""
-        axes, names = self.machine.axes.given, self.estimate if isinstance(self.estimate, tuple) else (self.estimate,)
+        axes, names = self.machine.axes.given, self._names
+        if self.angular and set(names) <= set(WORDS):
+            return tuple(f"E{axis}{axis}" for axis in self.machine.axes.turning)
         if not self.machine.turns and len(axes) < len(AXES) and names == ("all",):
             return tuple(f"E{axis}{axis}" for axis in axes)
         letters = self.machine.letters
@@ -254,7 +191,11 @@ class Settings:
         if self.method == ON_THE_FLY and self.outliers == "remove":
             yield "outliers", "method on-the-fly always removes wild points of the track: leave this key out"
         missing = [axis for axis in "XYZ" if axis not in self.machine.axes.given]
-        if self.machine.turns:
+        for letter in () if self.angular else self.machine.axes.turning:
+            if letter not in self.machine.letters:
+                where, chain = f"machine.axes.{letter.lower()}", self.machine.chain
+                yield where, f"the chain {chain} has no {letter}: add it there, or leave this"
+        if self.machine.turns or self.angular:
             pass
         elif missing == ["X", "Y", "Z"]:
             yield "machine.axes", "no axis is given: write e.g. `x: {range: [0 mm, 600 mm], knots: 13}`"
@@ -267,6 +208,10 @@ class Settings:
         yield from self._faults_of_noise()
         if self.positioning != Positioning() and self.method != SIX_DOF:
             yield "positioning", f"method {self.method} has no figures of ISO 230-2: leave this key out"
+        unused, used = "environment", "environment_angle"
+        unused, used = (unused, used) if self.angular else (used, unused)
+        if getattr(self.positioning, unused):
+            yield f"positioning.{unused}", f"the lines read no such quantity: write `{used}`"
         for key, what in (("scale", "scales of tracking interferometers"), ("environment", "lengths to correct")):
             if getattr(self, key) is not None and self.method != LENGTHS:
                 yield key, f"method {self.method} has no {what}: leave this key out"
@@ -277,7 +222,7 @@ class Settings:
             if self.noise != MachineNoise():
                 yield "noise", "the points have the covariance of their network: leave this key out"
             return
-        for key in _NOISE[self.method]:
+        for key in ("angle",) if self.angular else _NOISE[self.method]:
             if getattr(self.noise, key) is None:
                 yield "noise", f"method {self.method} needs the noise '{key}'"
         if self.method in (STANDSTILL, ON_THE_FLY) and self.noise.lateral is None and self.noise.radial is None:

@@ -23,7 +23,7 @@ from metrocli.instruments.machine import (
     Machine,
 )
 from metrocli.instruments.machine_path import SINCE, Path, travelled
-from metrocli.instruments.six_dof import CHANNELS, LINE, line_block, line_chain
+from metrocli.instruments.six_dof import CHANNELS, COLUMNS, LINE, line_block, line_chain
 from metrocli.instruments.tracer import AIR, POINT, STOP, TRACER, beams, tracer_block
 from metrocli.instruments.tracer import chain as length_chain
 from metrocli.instruments.tracker import TRACKER, point_chain, tracker_block
@@ -32,16 +32,12 @@ from metrocli.table import Table
 from metrocli.tasks.calibrate_machine.described import commanded, machine_of
 from metrocli.tasks.calibrate_machine.files import Files
 from metrocli.tasks.calibrate_machine.methods.lengths import stop_names, visits
+from metrocli.tasks.calibrate_machine.methods.lines import MeasuredLines, approach, line_conditions, lines_of
 from metrocli.tasks.calibrate_machine.methods.on_the_fly import path_of
-from metrocli.tasks.calibrate_machine.methods.poses import STATIONS, around, clock, sides_of
+from metrocli.tasks.calibrate_machine.methods.planned_lines import columns_of, planned_lines, tests_of_positioning
+from metrocli.tasks.calibrate_machine.methods.poses import STATIONS, around, clock, in_degrees, sides_of
 from metrocli.tasks.calibrate_machine.methods.simulated_poses import simulated_turning
-from metrocli.tasks.calibrate_machine.methods.six_dof import (
-    approach,
-    laser_noise,
-    line_conditions,
-    lines_of,
-    planned_lines,
-)
+from metrocli.tasks.calibrate_machine.methods.six_dof import laser_noise
 from metrocli.tasks.calibrate_machine.methods.standstill import tracker_noise
 from metrocli.tasks.calibrate_machine.problem import SIDES, since_turns, tools_of
 from metrocli.tasks.calibrate_machine.settings import (
@@ -231,22 +227,42 @@ def _feeds(job: _Measurement, table: Table, path: Path) -> Array:
 
 
 def _lines(job: _Measurement, truth: TrueMachine, rng: np.random.Generator) -> tuple[Table, Model]:
-    """Return the lines of the job, or along the axes to and fro and three face diagonals, each randomly misaligned."""
-    table, machine = job.files.lines, machine_of(job.settings)
-    lines = planned_lines(machine, job.simulation.step) if table is None else lines_of(machine, table)
-    along = lines.along
+    """Return the lines of the job, or along the axes to and fro and three face diagonals, each randomly misaligned.
+
+    Of a job that reads the positioning alone, five runs to and fro along each of its axes.
+    """
+    table, machine, alone = job.files.lines, machine_of(job.settings), job.settings.reads_positioning
+    if table is not None:
+        lines = lines_of(machine, table)
+    elif alone:
+        lines = tests_of_positioning(machine, [name[-1] for name in job.settings.estimated])
+    else:
+        lines = planned_lines(machine, job.simulation.step)
     block = line_block(lines.names)
-    shifts = rng.normal(size=block.values.shape) * _MISALIGNED
+    block = block.with_values(rng.normal(size=block.values.shape) * _MISALIGNED)
     given = clock(job.simulation, len(lines.of)) if table is None else table.conditions("t", "temp")
-    more = line_conditions(lines, along) | approach(lines)
+    more = line_conditions(machine, lines) | approach(machine, lines)
     flow = Flow(lines.position, np.zeros(len(lines.of), dtype=np.intp), given | more, {LINE: lines.of})
-    readings, model = job.read(truth.model(line_chain(truth.machine), {LINE: block.with_values(shifts)}, flow))
-    root = np.linalg.cholesky(np.moveaxis(laser_noise(job.settings).covariance(along[lines.of].T), -1, 0))
+    readings, model = job.read(truth.model(line_chain(truth.machine, alone), {LINE: block}, flow))
+    noise, when = laser_noise(job.settings), {heading(name): column for name, column in given.items()}
+    named = columns_of(machine, lines)
+    if alone:
+        read = readings[0] + rng.normal(size=len(lines.of)) * (noise.angle if machine.turns else noise.displacement)
+        return in_degrees(Table.of(named | _own_channels(lines, read) | when)), model
+    root = np.linalg.cholesky(np.moveaxis(noise.covariance(lines.along[lines.of].T), -1, 0))
     readings = readings + np.einsum("nab,bn->an", root, rng.normal(size=readings.shape))
-    names = {"line": np.array(lines.names)[lines.of], "axis": np.array(lines.axis)[lines.of]}
     channels = {" ".join(CHANNELS[:3]) + " [mm]": readings[:3].T, " ".join(CHANNELS[3:]) + " [rad]": readings[3:].T}
-    when = {heading(name): column for name, column in given.items()}
     places = (
         {} if table is None else {f"{axis} [mm]": lines.position[i] for i, axis in enumerate(POSITION) if axis in table}
     )
-    return Table.of({**names, "position [mm]": lines.distance, **channels, **when, **places}), model
+    return Table.of({**named, **channels, **when, **places}), model
+
+
+def _own_channels(lines: MeasuredLines, read: Array) -> dict[str, Array]:
+    """Return the columns of the deviations of each direction, empty at lines of others."""
+    columns = {}
+    for direction in dict.fromkeys(lines.axis):
+        name = f"e{direction}"
+        unit = "rad" if COLUMNS.index(name) > 2 else "mm"
+        columns[f"{name} [{unit}]"] = np.where(np.array(lines.axis)[lines.of] == direction, read, np.nan)
+    return columns

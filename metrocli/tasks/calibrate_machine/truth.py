@@ -34,7 +34,7 @@ from metrocli.tasks.calibrate_machine.tables import grown
 from metrocli.tasks.calibrate_machine.volume import grid_group, grid_of, spread_over, tips, without_rigid_motion
 from metrocli.tasks.shared.part import Warm
 
-_COMPONENTS = {Quantity.ERROR_MOTION: 6, Quantity.LENGTH: 1}
+_COMPONENTS = {Quantity.ERROR_MOTION: 6, Quantity.LENGTH: 1, Quantity.DISPLACEMENT: 1, Quantity.ANGLE: 1}
 """Components of a reading by what it reads; all others have three"""
 _FINE = 401
 _HARMONICS = 4
@@ -88,7 +88,8 @@ class Flow:
 def truth_of(settings: Settings, simulation: MachineSimulation, rng: np.random.Generator) -> TrueMachine:
     """Return a machine with random errors, scaled so that the mean length of the error in the volume is as given.
 
-    The mean is taken after the best shift and turn of the volume. Raises InputError for smooth errors of rotary axes.
+    The mean is taken after the best shift and turn of the volume. Of rotary axes that are tested alone it is the
+    size of the errors at 300 mm from them. Raises InputError for smooth errors of rotary axes.
     """
     machine = machine_of(settings)
     if simulation.smooth and machine.turns:
@@ -107,14 +108,26 @@ def truth_of(settings: Settings, simulation: MachineSimulation, rng: np.random.G
         names = (*LOCATIONS, *SPINDLE_NAMES)
         places |= {name: float(rng.normal()) / (lever if is_angle(name) else 1.0) for name in names}
     unit = TrueMachine(machine, blocks_of(settings, machine, tables, places))
-    grid = spread_over(machine, _PLACES) if machine.turns else grid_of(machine, (6, 6, 6))
-    first = np.zeros(grid.shape[1], dtype=np.intp)
-    error = without_rigid_motion(unit.error(grid, first), tips(machine, grid, first))
-    size = simulation.error / float(np.linalg.norm(error, axis=0).mean())
+    size = simulation.error / (_mean_angle(unit) * lever if settings.angular else _mean_error(unit))
     scaled = {name: table * size for name, table in tables.items()}
     return TrueMachine(
         machine, blocks_of(settings, machine, scaled, {name: value * size for name, value in places.items()})
     )
+
+
+def _mean_error(truth: TrueMachine) -> float:
+    """Return the mean length of the error in the volume after its best shift and turn [mm]."""
+    machine = truth.machine
+    grid = spread_over(machine, _PLACES) if machine.turns else grid_of(machine, (6, 6, 6))
+    first = np.zeros(grid.shape[1], dtype=np.intp)
+    error = without_rigid_motion(truth.error(grid, first), tips(machine, grid, first))
+    return float(np.linalg.norm(error, axis=0).mean())
+
+
+def _mean_angle(truth: TrueMachine) -> float:
+    """Return the mean size of the errors of the angles of all axes [rad]."""
+    tables = [truth.blocks[axis.block].values[:, axis.number + 3] for axis in truth.machine.axes]
+    return float(np.abs(np.concatenate(tables)).mean())
 
 
 def warmed(truth: TrueMachine, scales: Mapping[str, Warm], rng: np.random.Generator) -> TrueMachine:

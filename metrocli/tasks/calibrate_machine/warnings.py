@@ -9,7 +9,7 @@ import numpy as np
 
 from metrocli import units
 from metrocli.instruments.axes.rotary import RotaryAxis
-from metrocli.instruments.machine import ERRORS, TOOL
+from metrocli.instruments.machine import TOOL, Machine, errors_of
 from metrocli.instruments.tracer import TRACER
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine.methods.backwards import unseen_senses
@@ -28,6 +28,7 @@ from metrocli.words import listed
 WEAK = 10.0
 """Above this ratio of volume error to misfit, a good fit does not ensure a small error in the volume"""
 _TOOL = units.parse_quantity("0.1 mm", "length")
+_ARCSEC, _AWAY = units.parse_quantity("1 arcsec", "angle"), units.parse_quantity("300 mm", "length")
 _STEEL = units.parse_quantity("11.5 ppm", "ratio")
 
 
@@ -53,7 +54,7 @@ def machine_warnings(solved: AdjustedMachine, settings: Settings, more: Sequence
         lines.append(
             f"the error of tool {listed(identified.open_tools)} cannot be predicted: it depends on undetermined errors"
         )
-    if identified.ratio > WEAK:
+    if identified.ratio > WEAK and not solved.problem.positioning_alone:
         size = f"{identified.ratio:.0f}" if math.isfinite(identified.ratio) else "any number of"
         lines.append(
             f"in the worst case the error in the volume is {size} times the misfit of the readings: "
@@ -129,8 +130,7 @@ def identifiability_notes(identified: Identifiability) -> list[str]:
     """Return lines of text on what the measurement determines: rank, worst ratio, and undetermined errors."""
     lines = [
         "",
-        f"rank {identified.rank} of {identified.unknowns} unknowns; "
-        f"worst ratio of volume error to misfit {_ratio(identified)}",
+        f"rank {identified.rank} of {identified.unknowns} unknowns{_ratio(identified)}",
     ]
     for name in identified.undetermined:
         partners = identified.partners[name]
@@ -144,7 +144,11 @@ def identifiability_notes(identified: Identifiability) -> list[str]:
 
 
 def _ratio(identified: Identifiability) -> str:
-    return f"{identified.ratio:.1f}" if math.isfinite(identified.ratio) else units.NOT_DETERMINED
+    """Return what a misfit can mean in the volume; empty where only the positioning of single axes is known."""
+    if identified.problem.positioning_alone:
+        return ""
+    ratio = f"{identified.ratio:.1f}" if math.isfinite(identified.ratio) else units.NOT_DETERMINED
+    return f"; worst ratio of volume error to misfit {ratio}"
 
 
 def uncontrolled(solved: AdjustedMachine, tables: Tables, settings: Settings) -> Table:
@@ -169,7 +173,34 @@ def _senses(tables: Tables, settings: Settings) -> Iterator[Hidden]:
 
 
 def _hidden(solved: AdjustedMachine, tables: Tables, scales: Mapping[str, Warm]) -> Iterator[Hidden]:
-    machine = tables.machine
+    machine, alone = tables.machine, solved.problem.positioning_alone
+    if machine.only_turns:
+        yield from _of_indexers() if alone else ()
+    else:
+        yield from _of_scales(solved, machine, scales)
+    tool = solved.solution.blocks[TOOL]
+    if len(tool.members) < 2 and not tool.free.any() and not alone:
+        names = [name for axis in machine.axes for name in errors_of(axis.letter) if name[1] in "ABC"]
+        angles = [np.abs(tables.of(name)[1]).max(initial=0.0) for name in names]
+        yield Hidden(
+            "vector of the only tool (errors of a tool of another length)",
+            "0.1 mm",
+            _TOOL * float(np.nanmax(angles, initial=0.0)),
+            "tools of different length, or the tool measured",
+        )
+
+
+def _of_indexers() -> Iterator[Hidden]:
+    yield Hidden(
+        "division and centring of indexer, polygon or mirror (what turns with it is taken for errors of the axis)",
+        "1 arcsec, at 300 mm from the axis",
+        _ARCSEC * _AWAY,
+        "the same test with the indexer or the polygon turned on the table by some of its steps",
+    )
+
+
+def _of_scales(solved: AdjustedMachine, machine: Machine, scales: Mapping[str, Warm]) -> Iterator[Hidden]:
+    """Yield what changes the scale of linear axes: the instrument and the temperature."""
     diagonal = machine.diagonal
     if not blocks_of(solved.solution):
         yield Hidden(
@@ -180,20 +211,12 @@ def _hidden(solved: AdjustedMachine, tables: Tables, scales: Mapping[str, Warm])
         )
     else:
         yield Hidden(ASSUMED, AIR_WORDS, AIR * diagonal, ASSUMED_CONTROL)
-    if sum(scale.std > 0 for scale in scales.values()) < len(machine.axes):
+    linear = [axis for axis in machine.axes if not isinstance(axis, RotaryAxis)]
+    if sum(scale.std > 0 for scale in scales.values()) < len(linear):
         yield Hidden(
             "temperature of the machine (positioning errors)",
             "1 K of steel (11.5 um/m)",
             _STEEL * diagonal,
             "temperature of the scales with its `std` (`scale:` at each axis); without `scale:` the tables hold at the "
             "temperature of the measurement",
-        )
-    tool = solved.solution.blocks[TOOL]
-    if len(tool.members) < 2 and not tool.free.any():
-        angles = [np.abs(tables.of(name)[1]).max(initial=0.0) for name in ERRORS if name[1] in "ABC"]
-        yield Hidden(
-            "vector of the only tool (errors of a tool of another length)",
-            "0.1 mm",
-            _TOOL * float(np.nanmax(angles, initial=0.0)),
-            "tools of different length, or the tool measured",
         )

@@ -15,8 +15,8 @@ from metrocli.arrays import Array
 from metrocli.tasks.calibrate_machine.methods.on_the_fly import measurement, on_the_fly
 from metrocli.tasks.calibrate_machine.methods.six_dof import six_dof
 from metrocli.tasks.calibrate_machine.methods.standstill import standstill
+from metrocli.tasks.calibrate_machine.noise_settings import MachineNoise
 from metrocli.tasks.calibrate_machine.problem import MachineProblem
-from metrocli.tasks.calibrate_machine.settings import MachineNoise
 
 KNOTS = (4, 4, 3)
 """0 lies on a knot of X and Z, and between two of Y"""

@@ -16,11 +16,12 @@ from metrocli.simulation import SimulationOptions
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine import task as calibrate_machine
 from metrocli.tasks.calibrate_machine.described import machine_of
+from metrocli.tasks.calibrate_machine.noise_settings import MachineNoise
 from metrocli.tasks.calibrate_machine.plans.path_search import edges_and_diagonals
 from metrocli.tasks.calibrate_machine.plans.planned import planned_problem
 from metrocli.tasks.calibrate_machine.plans.wanted import PathPlan
 from metrocli.tasks.calibrate_machine.rank.identifiability import identify
-from metrocli.tasks.calibrate_machine.settings import MachineNoise, MachineSimulation
+from metrocli.tasks.calibrate_machine.settings import MachineSimulation
 
 NOISE = MachineNoise(beam=1e-3, lateral=5e-3)
 

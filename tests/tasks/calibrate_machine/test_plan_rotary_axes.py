@@ -8,8 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 from simulated import five_axis as sim
 
+from metrocli import nc_program
 from metrocli.project.inputs import read_inputs
 from metrocli.project.job import load
 from metrocli.tasks.calibrate_machine import task as calibrate_machine
@@ -56,3 +58,99 @@ def test_one_tool_of_a_head_is_a_plan_that_names_what_stays_open(tmp_path: Path,
     ran = metrocli("plan", path, "--set", "plan.uncertainty=3 um")
     assert ran.code == 0, ran.err
     assert "undetermined" in ran.out and "EC0S" in ran.out
+
+
+def visited(text: str) -> list[tuple[dict[str, float], str]]:
+    """Return the positions [mm, rad] at which a program reads or waits, with its comment there; Z is up where axes turn."""
+    at: dict[str, float] = {}
+    found, said = [], ""
+    for line in text.splitlines():
+        if line.startswith("("):
+            said = line[1:-1]
+        elif line == "M0" or line.startswith("G4"):
+            found.append((dict(at), said))
+        elif line.startswith(("G0 ", "G1 ")):
+            to = {word[0]: float(word[1:]) for word in line.split()[1:] if word[0] in "XYZABC"}
+            turning = {letter: value * sim.DEG for letter, value in to.items() if letter in sim.ROTARY}
+            assert not turning or at["Z"] == 0.0
+            at |= to | turning
+    assert text.splitlines()[-2:] == ["M30", "%"] and at["Z"] == 0.0
+    return found
+
+
+@pytest.mark.parametrize("kind", ["table-table", "head-table"])
+def test_a_program_stands_off_each_ball_along_the_tool(tmp_path: Path, metrocli: Metrocli, kind: str) -> None:
+    """The place of the tip is found by 4 x 4 matrices that share nothing with the program."""
+    path = job(tmp_path, "locations", kind=kind)
+    assert metrocli("plan", path, "--out", tmp_path, "--force").code == 0
+    machine, tools = sim.Machine(sim.KINDS[kind], {}), sim.KINDS[kind].tools
+    balls = {
+        row.split(",")[0]: np.array(row.split(",")[1:4], float)
+        for row in (tmp_path / "balls.csv").read_text().splitlines()[1:]
+    }
+    stood = visited((tmp_path / "probing.nc").read_text())
+    rows = (tmp_path / "probing.csv").read_text().splitlines()
+    listed = [dict(zip(rows[0].split(","), row.split(","), strict=True)) for row in rows[1:]]
+    assert len([one for one in stood if one[1].startswith("ball")]) == len(listed)
+    tool, number = next(iter(tools)), 0
+    for pose, said in stood:
+        if not said.startswith("ball"):
+            tool = said.removeprefix("mount probe ").strip() or tool
+            continue
+        row, number = listed[number], number + 1
+        assert said == f"ball {row['ball']}" and row.get("tool", tool) == tool
+        workpiece, spindle = machine.sides(pose)
+        vector = np.array(tools[tool])
+        tip, ball = (spindle @ np.append(vector, 1))[:3], (workpiece @ np.append(balls[row["ball"]], 1))[:3]
+        along = spindle[:3, :3] @ vector / np.linalg.norm(vector)
+        assert np.abs(ball - tip - 50 * along).max() < 2e-3
+
+
+def test_a_tracker_reads_where_the_program_rests(tmp_path: Path, metrocli: Metrocli) -> None:
+    rest = "estimate: locations\ninputs: {points: points.csv}\nnoise: {beam: 2 um, lateral: 5 um}\nvolume: {grid: [2, 2, 2, 2, 2]}\n"
+    path = sim.job(tmp_path, sim.Machine(sim.KINDS["table-table"], {}), "standstill", rest)
+    assert metrocli("plan", path, "--out", tmp_path, "--force").code == 0
+    rows = [row.split(",") for row in (tmp_path / "points.csv").read_text().splitlines()]
+    stood = [one for one in visited((tmp_path / "points.nc").read_text()) if one[1].startswith("point")]
+    assert [said for _, said in stood] == [f"point {row[0]}" for row in rows[1:]]
+    for (pose, _), row in zip(stood, rows[1:], strict=True):
+        cells = dict(zip(rows[0], row, strict=True))
+        for letter, value in pose.items():
+            unit = ("deg", sim.DEG) if letter in sim.ROTARY else ("mm", 1.0)
+            assert abs(value / unit[1] - float(cells[f"{letter.lower()}_{unit[0]}"])) < 1e-4
+
+
+def test_siemens_turns_any_turn_the_shortest_way() -> None:
+    blocks = [nc_program.Rapid({"A": -30.0, "C": 361.0}, "C"), nc_program.Rapid({"C": -1.0}, "C")]
+    assert "G0 A-30.0000 C=DC(1.0000)\nG0 C=DC(359.0000)\n" in nc_program.program("", (), blocks, "siemens")
+    assert "G0 A-30.0000 C361.0000\nG0 C-1.0000\n" in nc_program.program("", (), blocks)
+
+
+def test_a_table_alone_is_planned_with_as_many_poses_as_it_needs(tmp_path: Path, metrocli: Metrocli) -> None:
+    """Few poses leave knots open that more do not; a spindle that stands on the bed beside the instrument is not read."""
+    (tmp_path / "reflectors.csv").write_text(
+        "reflector,on,x_mm,y_mm,z_mm,sigma_mm\nR1,workpiece,200,0,50,0.1\nR2,workpiece,-100,170,120,0.1\n"
+        "R3,workpiece,-100,-170,20,0.1\n"
+    )
+    (tmp_path / "job.yaml").write_text(
+        "metrocli: 1\njob: calibrate-machine\nmethod: lengths\nmachine:\n  chain: wCbt\n"
+        "  axes: {c: {range: [0 deg, 360 deg], knots: 9, at: [0 mm, 0 mm, 0 mm]}}\n"
+        "inputs: {lengths: lengths.csv, reflectors: reflectors.csv}\nnoise: {constant: 0.3 um}\n"
+        "instrument: {on: bed}\nplan: {uncertainty: 1 um}\noutput: t.h5\n"
+    )
+    path = tmp_path / "job.yaml"
+    path.write_text(path.read_text() + "simulation: {error: 20 um}\n")
+    ran = metrocli("plan", path, "--out", tmp_path / "plan", "--json")
+    assert ran.code == 0, ran.err
+    promised = json.loads(ran.out)["figures"]["ratio"]["value"]
+    planned = "inputs.lengths=plan/lengths.csv"
+    assert metrocli("simulate", path, "--out", tmp_path / "new", "--set", planned).code == 0
+    solved = metrocli("calibrate-machine", path, "--json", "--set", "inputs.lengths=new/lengths.csv")
+    assert solved.code == 0, solved.err
+    # what the list of reflectors holds moves nothing, and makes no ratio infinite
+    assert json.loads(solved.out)["statistics"]["ratio"] == pytest.approx(promised, rel=0.2)
+    rows = (tmp_path / "plan/lengths.csv").read_text().splitlines()
+    at = rows[0].split(",").index("tool")
+    assert {row.split(",")[at] for row in rows[1:]} == {"R1", "R2", "R3"}
+    program = (tmp_path / "plan/lengths.nc").read_text()
+    assert program.count("M0") == 12 and "Z" not in program.split("G94")[1]

@@ -14,6 +14,7 @@ from metrocli.arrays import Array, Index
 from metrocli.frozen import dataclass
 from metrocli.instruments.axes.rotary import RotaryAxis
 from metrocli.instruments.machine import errors_of
+from metrocli.result import ShownTable
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine.acceptance.positioning import LineUncertainty
 from metrocli.tasks.calibrate_machine.iso230 import Run, at_targets, positioning
@@ -31,18 +32,28 @@ def positioning_of(
     tables: Tables, solved: AdjustedMachine, settings: Settings, factor: float
 ) -> tuple[dict[str, Table], tuple[str, ...]]:
     """Return the figures of ISO 230-2 and the means at their targets, of runs along single axes, and warnings."""
-    if tables.machine.turns:
+    known, noise = settings.positioning, settings.noise
+    runs, own, rest = solved.problem.runs, noise.displacement, known.environment
+    if settings.angular:
+        own, rest = noise.angle, known.environment_angle
+    elif tables.machine.turns:
         turning = _rotary_runs(tables, solved)
-        runs, own = turning.runs, factor * turning.reading
-    else:
-        runs, own = solved.problem.runs, factor * (settings.noise.displacement or 0.0)
+        runs, own = turning.runs, turning.reading
     if not runs:
         return {}, ()
     # readings scatter evenly over the range at rest (ISO 230-2:2014, annex A: E_VE)
-    reading = float(np.hypot(own, settings.positioning.environment / np.sqrt(12)))
-    figures, warnings = positioning(runs, LineUncertainty(reading, settings.positioning.scale))
+    reading = float(np.hypot(factor * (own or 0.0), rest / np.sqrt(12)))
+    figures, warnings = positioning(runs, LineUncertainty(reading, known.scale))
     found = {"positioning": figures, "positioning_targets": at_targets(runs)}
     return {name: one for name, one in found.items() if one is not None}, warnings
+
+
+def shown_figures(name: str, table: Table) -> ShownTable:
+    """Return how figures are shown: those of rotary axes in arcsec, and their targets in degrees."""
+    symbols = {key: "deg" if key == "angle" else "arcsec" for key in table if table.units.get(key) == "rad"}
+    if not symbols:
+        return ShownTable(name)
+    return ShownTable(name, tuple(f"{key} [{symbols[key]}]" if key in symbols else key for key in table))
 
 
 @dataclass(frozen=True)
@@ -111,4 +122,4 @@ def _run(tables: Tables, solved: AdjustedMachine, axis: RotaryAxis, rows: Index)
     knots, values, _ = tables.of(name)
     deviation = np.interp(axis.wrapped(np.radians(targets)), knots, values) + left
     way = slice(None) if position[-1] > position[0] else slice(None, None, -1)
-    return targets[way], deviation[way], float(1 / np.sqrt(weight.min()))
+    return targets[way], axis.sense * deviation[way], float(1 / np.sqrt(weight.min()))

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from metrocli.effects.effect import ELAPSED, WARMING, Effect, Parameter, sizes
 from metrocli.effects.links.angles import OnPoint, TrackerMoves
-from metrocli.effects.links.motions import LineTerm
+from metrocli.effects.links.motions import LineTerm, ZeroDrift
 from metrocli.instruments.six_dof import FROM_START
 from metrocli.instruments.tracker import FACE
 from metrocli.tasks.calibrate_machine.effects.machine import SCHWENKE, VELOCITY
@@ -79,6 +79,20 @@ OF_THE_LASER: tuple[Effect, ...] = (
         usual="0.05 um/h to 1 um/min",
         reveal="the line run to and fro, and its first target read again at the end",
         source=SCHWENKE,
+    ),
+    Effect(
+        "indexer-drift",
+        "the zero of an angle reading drifts on one line: rotary indexer, mirror or polygon, and stand warm up",
+        sizes("rate", "angle rate", "10 arcsec/h"),
+        lambda block, where: ZeroDrift(block),
+        where=("line",),
+        needs=("t",),
+        confused_with=("backlash",),
+        formula="e += rate t    # e: angle that is read about a rotary axis",
+        note="On a line run once in one direction it is a part of the positioning error.",
+        usual="0.1 to 10 arcsec/h",
+        reveal="the line run to and fro, and its first target read again at the end",
+        source="ISO 230-3:2020, environmental temperature variation error",
     ),
     _refraction("T", WARMING, "temp", sizes("rate", "expansion", "2e-6 1/K"), "5e-7 to 2e-6 1/K"),
     _refraction("t", ELAPSED, "t", sizes("rate", "rate", "10 ppm/h"), "0.1 to 10 ppm/h"),

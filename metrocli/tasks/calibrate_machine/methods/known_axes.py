@@ -145,7 +145,11 @@ def _values(result: Result, name: str) -> Array:
 
 def _other_axes(axes: tuple[Axis, ...], settings: Settings, result: Result) -> Iterator[Fault]:
     """Yield faults where the axes of an earlier result are not those of the job."""
-    table, chain = result.tables["axes"], str(result.statistics["chain"])
+    table, chain = result.tables["axes"], str(result.statistics.get("chain", ""))
+    if not chain:
+        text = "the result is of rotary axes that were tested alone"
+        yield Fault(text, _file(result), hint="give that of X, Y and Z")
+        return
     order = [AXES[i] for i in axis_order(chain)]
     own = [letter for letter in settings.machine.letters if letter in AXES]
     if [letter for letter in order if letter in own] != own:

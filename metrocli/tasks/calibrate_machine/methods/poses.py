@@ -32,6 +32,8 @@ AROUND = np.array([[-0.4, -0.4, 0.1], [1.4, -0.3, 0.8], [1.3, 1.4, 0.0], [-0.4, 
 _GOLDEN = (np.sqrt(5) - 1) / 2
 _FIRST_TEMPERATURE = 20.0
 """At the first reading [degC] (ISO 1)"""
+_SHOWN = 9
+"""Decimals of angles in files [deg]: 0.0000036 arcsec"""
 _TIGHT = 3
 """Decimals of poses [mm, deg]"""
 
@@ -126,7 +128,7 @@ def sides_of(names: Sequence[str], position: Array, time: Array) -> dict[str, Ar
 def in_degrees(table: Table) -> Table:
     """Return a table whose columns of rotary axes and of angles of a tracker are in degrees, as people read them."""
     angles = [name for name in ("a", "b", "c", "azimuth", "elevation") if name in table]
-    return table.joined({f"{name} [deg]": np.degrees(table.numbers(name)) for name in angles})
+    return table.joined({f"{name} [deg]": np.round(np.degrees(table.numbers(name)), _SHOWN) for name in angles})
 
 
 def _at_balls(settings: Settings, files: Files, position: Array, margin: float) -> Table:
@@ -153,8 +155,10 @@ def _inside(machine: Machine, position: Array, margin: float) -> Mask:
 
 
 def _read(settings: Settings, files: Files) -> list[str]:
-    """Return the names of the tools and reflectors that are read."""
-    return [*settings.tools, *([] if files.reflectors is None else files.reflectors.texts("reflector"))]
+    """Return the names of the tools and reflectors that are read; no tool that does not move against the instrument."""
+    reflectors = [] if files.reflectors is None else files.reflectors.texts("reflector")
+    at_rest = settings.instrument.on == "bed" and settings.machine.letters[-1] == "b"
+    return reflectors if reflectors and at_rest else [*settings.tools, *reflectors]
 
 
 def _in_turn(names: list[str], count: int) -> np.typing.NDArray[np.str_]:

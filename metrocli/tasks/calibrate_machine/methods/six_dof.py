@@ -6,140 +6,49 @@ If all tables are zero, two face diagonals d1, d2 give `C0Y = (d2^2 - d1^2) / (4
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Observations
-from metrocli.arrays import Array, Index, Mask, Values
+from metrocli.arrays import Array, Mask
 from metrocli.errors import Fault, InputError
-from metrocli.frozen import dataclass
-from metrocli.instruments.machine import AXES, TOOL, Machine
+from metrocli.instruments.axes.rotary import gauge
+from metrocli.instruments.machine import ANGLES, AXES, TOOL, Machine
 from metrocli.instruments.six_dof import (
-    ACROSS,
-    ALONG,
     CHANNELS,
     COLUMNS,
-    FROM_START,
+    DISPLACEMENT,
     LINE,
-    POSITION,
+    TURN,
     LineNoise,
     line_block,
     line_chain,
 )
 from metrocli.table import Table
-from metrocli.tasks.calibrate_machine.described import commanded, error_blocks, machine_of, must_support, tool_prior
-from metrocli.tasks.calibrate_machine.iso230 import Run, others_at
-from metrocli.tasks.calibrate_machine.problem import SIDES, MachineProblem, conditions, model_of, since_turns
+from metrocli.tasks.calibrate_machine.described import (
+    error_blocks,
+    machine_of,
+    must_support,
+    placed,
+    raise_if,
+    tool_prior,
+)
+from metrocli.tasks.calibrate_machine.methods.lines import (
+    MeasuredLines,
+    approach,
+    line_conditions,
+    lines_of,
+    runs_of,
+)
+from metrocli.tasks.calibrate_machine.problem import MachineProblem, conditions, model_of
 from metrocli.tasks.calibrate_machine.settings import Settings
-from metrocli.words import listed, suggestion
+from metrocli.words import listed
 
 READINGS = "lines"
-DIRECTIONS = {"x": (0,), "y": (1,), "z": (2,), "xy": (0, 1), "yz": (1, 2), "xz": (0, 2)}
-"""Numbers of the axes that move along a line, by the name of its direction"""
-_APART = 0.01
-"""The columns x, y, z and the distance along the line may disagree by this [mm]"""
-_LEAST = 3
-_LEAST_PART = 1e-6
-"""An axis stands still on a line if its part of the line's direction is smaller than this"""
-
-
-@dataclass(frozen=True)
-class MeasuredLines:
-    """The lines of a file, and the place of each of their readings."""
-
-    names: tuple[str, ...]
-    axis: tuple[str, ...]
-    """Direction of each line, a key of DIRECTIONS"""
-    of: Index
-    """Number of the line of each reading, (n,)"""
-    position: Array
-    """Commanded positions, (3, n)"""
-    distance: Array
-    """Distance along the line, (n,)"""
-
-    @property
-    def sense(self) -> Array:
-        """Return the sense of travel that led to each reading, +1 or -1, (n,).
-
-        The first reading of a run has the sense of the travel that follows it. At a turn a target is read twice: as
-        the last of one run and as the first of the next.
-        """
-        step = np.sign(np.diff(self.distance))
-        step[np.diff(self.of) != 0] = 0.0
-        before, after = np.append(0.0, step), np.append(step, 0.0)
-        return np.where(before != 0, before, after)
-
-    @property
-    def along(self) -> Array:
-        """Unit vectors along the lines, (lines, 3)."""
-        rows = [np.flatnonzero(self.of == i) for i in range(len(self.names))]
-        ends = [at[np.argsort(self.distance[at])[[0, -1]]] for at in rows]
-        moved = np.stack([self.position[:, end[1]] - self.position[:, end[0]] for end in ends])
-        return np.asarray(moved / np.linalg.norm(moved, axis=1, keepdims=True))
-
-
-def lines_of(machine: Machine, table: Table) -> MeasuredLines:
-    """Return the lines of a file.
-
-    Raises InputError for unknown directions, lines with several directions or too few positions, and contradictory
-    positions.
-    """
-    _refuse_directions(table)
-    names = tuple(dict.fromkeys(table.texts("line")))
-    number = {name: i for i, name in enumerate(names)}
-    of = np.array([number[name] for name in table.texts("line")])
-    axes = np.array(table.texts("axis"))
-    faults = []
-    for i, name in enumerate(names):
-        rows = np.flatnonzero(of == i)
-        if len(set(axes[rows])) > 1:
-            faults.append(Fault(f"line '{name}' has rows along {' and '.join(sorted(set(axes[rows])))}", table.file))
-        elif len(np.unique(table.numbers("position")[rows])) < _LEAST:
-            text = f"line '{name}' has fewer than {_LEAST} positions: its misalignment takes up all of its readings"
-            faults.append(table.fault_at(int(rows[0]), text))
-    if faults:
-        raise InputError(faults)
-    position = _positions(machine, table, axes)
-    axis = tuple(str(axes[of == i][0]) for i in range(len(names)))
-    return MeasuredLines(names, axis, of, position, table.numbers("position"))
-
-
-def _refuse_directions(table: Table) -> None:
-    faults = [
-        table.fault_at(row, f"'{axis}' is not a direction of a line", suggestion(axis, DIRECTIONS))
-        for row, axis in enumerate(table.texts("axis"))
-        if axis not in DIRECTIONS
-    ]
-    if faults:
-        raise InputError(faults[:5])
-
-
-def _positions(machine: Machine, table: Table, axes: Values) -> Array:
-    """Return commanded positions, (3, n), from the columns x, y, z, else from the distance along the line."""
-    distance = table.numbers("position")
-    position = np.repeat(machine.home[:, None], len(table), axis=1)
-    for direction, moving in DIRECTIONS.items():
-        rows = np.flatnonzero(axes == direction)
-        size = (machine.high - machine.low)[list(moving)]
-        share = size / np.linalg.norm(size)
-        for axis, part in zip(moving, share, strict=True):
-            position[axis, rows] = distance[rows] if len(moving) == 1 else machine.low[axis] + distance[rows] * part
-    faults = []
-    for axis, name in enumerate("xyz"):
-        if name not in table:
-            continue
-        given = table.numbers(name)
-        wrong = np.flatnonzero((axes == name) & (np.abs(given - distance) > _APART))
-        faults += [
-            table.fault_at(
-                int(row), f"{name} = {given[row]:g} mm, but the position along {name} is {distance[row]:g} mm"
-            )
-            for row in wrong[:3]
-        ]
-        position[axis] = np.where(axes == name, position[axis], given)
-    if faults:
-        raise InputError(faults)
-    return commanded(machine, table.joined({"x y z [mm]": position.T}))
+_MEASURED = 0.1
+"""Deviations that are the positions themselves within this share are what was measured"""
 
 
 def six_dof(settings: Settings, table: Table) -> MachineProblem:
@@ -149,133 +58,110 @@ def six_dof(settings: Settings, table: Table) -> MachineProblem:
     if len(settings.tools) > 1:
         raise InputError("method six-dof has one tool: the receiver's vector, `machine: {tool: [...]}`")
     lines = lines_of(machine, table)
-    displacement = displacement_only(settings, lines, table)
+    alone = positioning_alone(settings, lines, table)
     must_support(machine, lines.position, blocks)
     laser = laser_noise(settings)
-    along = lines.along
-    read = table.stacked(CHANNELS).T if displacement is None else displacement[None]
+    read = table.stacked(CHANNELS).T if alone is None else alone[None]
     observations = Observations(
         read,
-        np.full(read.shape, laser.displacement),
+        np.full(read.shape, laser.angle if machine.turns else laser.displacement),
         machine.index(lines.position) | {TOOL: np.zeros(len(table), dtype=np.intp), LINE: lines.of},
-        covariance=laser.covariance(along[lines.of].T) if displacement is None else None,
-        keys={
-            "line": tuple(table.texts("line")),
-            "at": tuple(f"{distance:g} mm" for distance in lines.distance.tolist()),
-        },
-        conditions=conditions(machine, lines.position, table) | line_conditions(lines, along) | approach(lines),
-        components=CHANNELS if displacement is None else ("displacement",),
-        unit="mm",
+        covariance=laser.covariance(lines.along[lines.of].T) if alone is None else None,
+        keys={"line": tuple(table.texts("line")), "at": _targets(machine, lines)},
+        conditions=conditions(machine, lines.position, table)
+        | line_conditions(machine, lines)
+        | approach(machine, lines),
+        components=CHANNELS if alone is None else (TURN if machine.turns else DISPLACEMENT,),
+        unit="rad" if machine.turns else "mm",
     )
-    readings = Group(READINGS, line_chain(machine, displacement is not None), observations)
+    readings = Group(READINGS, line_chain(machine, alone is not None), observations)
     free: Mask | bool = True
-    if displacement is not None:
-        free = np.array([[channel == f"e{axis}" for channel in COLUMNS] for axis in lines.axis])
+    if alone is not None:
+        free = np.array([[channel == _own(axis) for channel in COLUMNS] for axis in lines.axis])
+    others = (*tool_prior(blocks, settings), *gauge(machine, blocks))
     return MachineProblem(
-        model_of({**blocks, LINE: line_block(lines.names, free)}, readings, tool_prior(blocks, settings)),
+        model_of({**blocks, LINE: line_block(lines.names, free)}, readings, others),
         machine,
         np.ones(len(table)),
         tuple(settings.tools),
         facts={"lines": len(lines.names)},
-        runs=tuple(runs_of(lines, table)),
-        displacement_only=displacement is not None,
+        runs=tuple(runs_of(machine, lines, _deviations(lines, table))),
+        positioning_alone=alone is not None,
     )
 
 
-def displacement_only(settings: Settings, lines: MeasuredLines, table: Table) -> Array | None:
-    """Return the displacement of each reading, (n,), where the file has no other channels; None if it has all six.
+def _own(direction: str) -> str:
+    """Return the channel of the positioning along a direction: ex, ..., of rotary axes ea, ..."""
+    return f"e{direction}"
+
+
+def _targets(machine: Machine, lines: MeasuredLines) -> tuple[str, ...]:
+    """Return the distance of each reading along its line in words."""
+    distances = lines.distance.tolist()
+    if not machine.turns:
+        return tuple(f"{distance:g} mm" for distance in distances)
+    return tuple(placed(machine.axes[0], distance) for distance in distances)
+
+
+def _deviations(lines: MeasuredLines, table: Table) -> Array:
+    """Return the reading of its own direction at each reading of lines along single axes, (n,); else nan."""
+    found = np.full(len(table), np.nan)
+    for direction in dict.fromkeys(lines.axis):
+        if len(direction) == 1:
+            rows = np.array(lines.axis)[lines.of] == direction
+            found = np.where(rows, table.numbers(_own(direction)), found)
+    return found
+
+
+def positioning_alone(settings: Settings, lines: MeasuredLines, table: Table) -> Array | None:
+    """Return the deviation of each reading, (n,), where the file has no other channels; None if it has all six.
 
     Raises InputError if it has some of them, or if the noise of the channels that it has is not given.
     """
     missing = [name for name in CHANNELS if name not in table or np.isnan(table.numbers(name)).any()]
-    if not missing:
+    if not missing and not settings.angular:
         lacking = [key for key in ("straightness", "angle") if getattr(settings.noise, key) is None]
         if lacking or len(settings.machine.axes.given) < len(AXES):
             needs = listed([*(f"noise: {key}" for key in lacking), *(() if lacking else ("all three axes",))])
             raise InputError(f"the lines have all six channels, so the job needs {needs}")
         return None
-    own = [f"e{axis}" for axis in lines.axis]
+    own = [_own(axis) for axis in lines.axis]
     more = sorted(set(CHANNELS) - set(missing) - set(own))
     absent = [name for name in dict.fromkeys(own) if name not in table]
-    if more or absent or any(axis not in "xyz" for axis in lines.axis):
-        raise InputError(
-            [
-                Fault(
-                    f"lines have either all six channels ({', '.join(missing)} {'is' if not missing[1:] else 'are'} "
-                    "missing), or the displacement alone: ex along x, ey along y, ez along z",
-                    table.file,
-                )
-            ]
-        )
-    unlike = [name for name in settings.estimated if name not in {f"E{axis}{axis}".upper() for axis in lines.axis}]
+    if more or absent or any(len(axis) > 1 for axis in lines.axis):
+        raise InputError([Fault(_channels_wanted(settings.angular, missing), table.file)])
+    named = sorted({f"E{axis}{axis}".upper() for axis in lines.axis})
+    unlike = [name for name in settings.estimated if name not in named]
     if unlike:
         raise InputError(
-            f"displacement alone determines {listed(sorted({f'E{axis}{axis}'.upper() for axis in lines.axis}))} only: "
-            f"leave {listed(unlike)} out of `estimate`"
+            f"displacement alone determines {listed(named)} only: leave {listed(unlike)} out of `estimate`"
         )
-    values = np.stack([table.numbers(name) for name in dict.fromkeys(own)])
-    which = [list(dict.fromkeys(own)).index(name) for name in own]
-    found: Array = values[np.array(which)[lines.of], np.arange(len(lines.of))]
+    found = _deviations(lines, table)
     if np.isnan(found).any():
         row = int(np.flatnonzero(np.isnan(found))[0])
         raise InputError([table.fault_at(row, "the displacement is empty")])
+    raise_if(_measured_positions(lines, found, table))
     return found
 
 
-def runs_of(lines: MeasuredLines, table: Table) -> list[Run]:
-    """Return the runs along single axes with their displacement readings; a line may have runs in both directions."""
-    turns = np.flatnonzero((np.diff(lines.of) != 0) | (np.diff(lines.sense) != 0)) + 1
-    runs = []
-    for rows in np.split(np.arange(len(lines.of)), turns):
-        direction, name = lines.axis[lines.of[rows[0]]], lines.names[lines.of[rows[0]]]
-        if len(DIRECTIONS[direction]) == 1 and len(rows) > 1:
-            at = np.delete(lines.position[:, rows[0]], DIRECTIONS[direction]).round(2).tolist()
-            axis, where = direction.upper(), others_at(direction.upper(), at)
-            runs.append(Run(axis, lines.distance[rows], table.numbers(f"e{direction}")[rows], where, name))
-    return runs
+def _channels_wanted(angular: bool, missing: list[str]) -> str:
+    if angular:
+        letters = ", ".join(f"{_own(letter)} along {letter}" for letter in "".join(ANGLES).lower())
+        return f"lines along rotary axes have their own angle alone: {letters}"
+    return (
+        f"lines have either all six channels ({', '.join(missing)} {'is' if not missing[1:] else 'are'} "
+        "missing), or the displacement alone: ex along x, ey along y, ez along z"
+    )
 
 
-def approach(lines: MeasuredLines) -> dict[str, Array]:
-    """Return the directions of approach, and the distances since an axis turned on its line, (n,) each.
-
-    The directions are 0 for axes that stand still on the line.
-    """
-    moved = np.sign(np.where(np.abs(lines.along) > _LEAST_PART, lines.along, 0.0))[lines.of].T * lines.sense
-    parts = np.split(np.arange(len(lines.of)), np.flatnonzero(np.diff(lines.of) != 0) + 1)
-    sides = dict(zip(SIDES, moved, strict=True))
-    ways = [since_turns(lines.position[:, rows], {name: side[rows] for name, side in sides.items()}) for rows in parts]
-    common = set(ways[0]).intersection(*ways)
-    return sides | {name: np.concatenate([way[name] for way in ways]) for name in sorted(common)}
-
-
-def line_conditions(lines: MeasuredLines, along: Array) -> dict[str, Array]:
-    """Return the conditions of readings on lines: distances from middle and start, unit vectors across and along."""
-    least = np.eye(3)[np.argmin(np.abs(along), axis=1)]
-    first = np.cross(along, least)
-    first /= np.linalg.norm(first, axis=1, keepdims=True)
-    across = np.concatenate([first, np.cross(along, first)], axis=1)[lines.of].T
-    counts = np.bincount(lines.of)
-    middle = np.bincount(lines.of, lines.distance) / counts
-    lowest = np.full(len(counts), np.inf)
-    np.minimum.at(lowest, lines.of, lines.distance)
-    distances = {POSITION: lines.distance - middle[lines.of], FROM_START: lines.distance - lowest[lines.of]}
-    return distances | dict(zip((*ACROSS, *ALONG), (*across, *along[lines.of].T), strict=True))
-
-
-def planned_lines(machine: Machine, step: float) -> MeasuredLines:
-    """Return lines along the axes in both directions and along three face diagonals, with readings every `step` mm."""
-    of, positions, distances = [], [], []
-    for line, moving in enumerate(DIRECTIONS.values()):
-        size = (machine.high - machine.low) * np.isin(np.arange(3), moving)
-        length = float(np.linalg.norm(size))
-        along = np.linspace(0.0, length, max(_LEAST, round(length / step) + 1))
-        way = np.append(along, along[::-1]) if len(moving) == 1 else along
-        start = np.where(size > 0, machine.low, machine.home)
-        of.append(np.full(len(way), line))
-        positions.append(start[:, None] + size[:, None] / length * way)
-        distances.append(way if len(moving) > 1 else positions[-1][moving[0]])
-    names = tuple(DIRECTIONS)
-    return MeasuredLines(names, names, np.concatenate(of), np.concatenate(positions, axis=1), np.concatenate(distances))
+def _measured_positions(lines: MeasuredLines, deviation: Array, table: Table) -> Iterator[Fault]:
+    """Yield a fault for each line whose deviations are what was measured: they grow as the positions do."""
+    for i, name in enumerate(lines.names):
+        rows = np.flatnonzero(lines.of == i)
+        at, read = (values[rows] - values[rows].mean() for values in (lines.distance, deviation))
+        if np.abs(read - at).max() < _MEASURED * np.abs(at).max():
+            text = f"the readings of line '{name}' grow as its positions do: they are measured positions"
+            yield table.fault_at(int(rows[0]), text, "write the deviations: measured minus commanded")
 
 
 def laser_noise(settings: Settings) -> LineNoise:

@@ -96,6 +96,10 @@ def _measured(settings: Settings, points: Table, network: Result | None) -> tupl
     """
     if network is not None:
         return measured_in(network, points)
+    both = [name for name in (*CARTESIAN, *POLAR) if name in points]
+    if set(both) & set(CARTESIAN) and set(both) & set(POLAR):
+        text = f"the file has measured coordinates and polar readings: {', '.join(both)}"
+        raise InputError([points.fault(text, "keep mx, my and mz, or distance, azimuth and elevation")])
     if all(name in points for name in CARTESIAN):
         measured = points.stacked(CARTESIAN).T
     elif all(name in points for name in POLAR):

@@ -144,7 +144,8 @@ class Worth:
 
     identified: Identifiability
     errors: Table
-    volumetric: Table
+    volumetric: Table | None
+    """None where the positioning of single axes is read alone"""
 
 
 def worth_of(settings: Settings, problem: MachineProblem) -> Worth:
@@ -154,7 +155,9 @@ def worth_of(settings: Settings, problem: MachineProblem) -> Worth:
     if not solution.outcome.good:
         raise UndeterminedError(f"the planned readings do not determine the machine: {solution.outcome.value}")
     tables = tables_of(problem.machine, solution, settings.scales)
-    volume = volume_tables(tables, identified, settings.volume, problem.tools_used)["volumetric"]
+    volume = None
+    if not problem.positioning_alone:
+        volume = volume_tables(tables, identified, settings.volume, problem.tools_used)["volumetric"]
     return Worth(identified, predicted_errors(tables, identified), volume)
 
 
@@ -166,14 +169,16 @@ def planned(
     warnings: Sequence[str],
 ) -> Plan:
     """Return the plan with the figures, tables, files and warnings of the proposed readings."""
+    volume = {} if worth.volumetric is None else {"volumetric": worth.volumetric}
+    ratio = (Estimate("ratio", worth.identified.ratio, 0.0, "1"),) if volume else ()
     return Plan(
         KIND.name,
         tuple(notes),
-        (Estimate("ratio", worth.identified.ratio, 0.0, "1"), *figures),
-        {"errors": worth.errors, "volumetric": worth.volumetric},
+        (*ratio, *figures),
+        {"errors": worth.errors, **volume},
         files,
         tuple(warnings),
-        (ShownTable("errors"), ShownTable("volumetric", ("tool", "uncertainty"))),
+        (ShownTable("errors"), *(ShownTable(name, ("tool", "uncertainty")) for name in volume)),
     )
 
 

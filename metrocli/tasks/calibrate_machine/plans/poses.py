@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from metrocli.arrays import Array
+from metrocli.errors import UndeterminedError
 from metrocli.frozen import dataclass
 from metrocli.instruments.axes.kinematics import nominal_tip
 from metrocli.instruments.axes.rotary import RotaryAxis
@@ -19,6 +20,7 @@ from metrocli.tasks.calibrate_machine.described import machine_of
 from metrocli.tasks.calibrate_machine.files import Files
 from metrocli.tasks.calibrate_machine.methods.poses import in_degrees, places_read, poses_at, problem_at, without_errors
 from metrocli.tasks.calibrate_machine.plans.planned import Worth, planned, tracker_pose, worth_of
+from metrocli.tasks.calibrate_machine.plans.pose_program import by_set_up, program_of_poses, with_room
 from metrocli.tasks.calibrate_machine.plans.stops import judged
 from metrocli.tasks.calibrate_machine.plans.wanted import PathPlan
 from metrocli.tasks.calibrate_machine.problem import MachineProblem
@@ -30,6 +32,8 @@ from metrocli.tasks.shared.lists import listed_places
 _FILES = {STANDSTILL: "points.csv", LENGTHS: "lengths.csv", PROBING: "probing.csv"}
 _PER_KNOT, _GROWTH, _MOST = 3, 1.4, 3000
 """Poses for each knot to begin with, how their number grows, and the largest one"""
+_MANY = 4.0
+"""Times as many poses leave nothing open that is open for want of poses"""
 _GAIN = 0.9
 """More poses are tried as long as they reduce the ratio to this share"""
 _CLOSE, _ROUNDS = 0.7, 5
@@ -66,9 +70,9 @@ def plan_of_poses(settings: Settings, files: Files) -> Plan:
     if settings.method == LENGTHS and files.stations is None:
         stations = without_errors(settings, table, files, np.zeros(6))[1].listed_stations
         proposed |= {} if stations is None else {"stations.csv": stations}
-    return planned(
-        notes, figures, worth, {_FILES[settings.method]: in_degrees(table), **proposed}, [lacks] if lacks else []
-    )
+    name = _FILES[settings.method]
+    proposed |= {name: in_degrees(table), name.replace(".csv", ".nc"): program_of_poses(settings, table, files)}
+    return planned(notes, figures, worth, proposed, [lacks] if lacks else [])
 
 
 @dataclass(frozen=True)
@@ -82,6 +86,8 @@ class _Trial:
     def uncertainty(self) -> float:
         """Standard uncertainty of the error vector over the volume, of the worst tool that is measured [mm]."""
         volume = self.worth.volumetric
+        if volume is None:
+            raise ValueError("poses predict the volume")
         return float(volume.numbers("uncertainty")[volume.columns["measured"].astype(bool)].max())
 
 
@@ -92,9 +98,10 @@ def _enough(settings: Settings, files: Files) -> tuple[_Trial, str]:
 
     def tried(count: float) -> _Trial:
         table = poses_at(settings, files, shares_spread(len(machine.axes), round(count)))
+        table = by_set_up(with_room(settings, table, files))
         return _Trial(table, worth_of(settings, _problem(settings, table, files)()))
 
-    trial = tried(count)
+    trial, count = _first(tried, count)
     if wanted.uncertainty is None:
         while trial.worth.identified.ratio > wanted.ratio and count * _GROWTH < _MOST:
             count *= _GROWTH
@@ -113,6 +120,27 @@ def _enough(settings: Settings, files: Files) -> tuple[_Trial, str]:
     lacks = trial.uncertainty > wanted.uncertainty
     sizes = f"{trial.uncertainty * 1000:.2g} um to {wanted.uncertainty * 1000:.2g} um in the volume"
     return trial, _FEW.format(sizes) if lacks else ""
+
+
+def _first(tried: Callable[[float], _Trial], count: float) -> tuple[_Trial, float]:
+    """Return the fewest poses that determine the volume, and their number.
+
+    Raises the UndeterminedError of the fewest if several times as many leave something open as well: then it is not
+    their number.
+    """
+    try:
+        return tried(count), count
+    except UndeterminedError as error:
+        try:
+            trial = tried(count * _MANY)
+        except UndeterminedError:
+            raise error from None
+    for more in count * _GROWTH ** np.arange(1.0, np.log(_MANY) / np.log(_GROWTH)):
+        try:
+            return tried(float(more)), float(more)
+        except UndeterminedError:
+            continue
+    return trial, count * _MANY
 
 
 def _problem(settings: Settings, table: Table, files: Files) -> Callable[[], MachineProblem]:

@@ -1,4 +1,4 @@
-"""Plan points at standstill, or lines of a laser: what those of the job and the proposed ones will determine."""
+"""Plan points at standstill: what those of the job and the proposed ones will determine."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ import numpy as np
 from metrocli.arrays import Array
 from metrocli.errors import UndeterminedError
 from metrocli.instruments.machine import POSITION
-from metrocli.instruments.six_dof import CHANNELS
 from metrocli.nc_program import Block as NcBlock
 from metrocli.nc_program import Dwell, Feed, Stop, program
 from metrocli.plan import Plan
@@ -18,7 +17,6 @@ from metrocli.table import Table
 from metrocli.tasks.calibrate_machine.described import machine_of
 from metrocli.tasks.calibrate_machine.files import NO_FILES
 from metrocli.tasks.calibrate_machine.methods.poses import without_errors
-from metrocli.tasks.calibrate_machine.methods.six_dof import planned_lines, six_dof
 from metrocli.tasks.calibrate_machine.methods.standstill import standstill
 from metrocli.tasks.calibrate_machine.plans.planned import (
     PLACES,
@@ -31,7 +29,7 @@ from metrocli.tasks.calibrate_machine.plans.planned import (
 )
 from metrocli.tasks.calibrate_machine.plans.wanted import PathPlan
 from metrocli.tasks.calibrate_machine.problem import MachineProblem, tools_of
-from metrocli.tasks.calibrate_machine.settings import MachineSimulation, Settings
+from metrocli.tasks.calibrate_machine.settings import Settings
 from metrocli.tasks.calibrate_machine.volume import grid_of, spread_over
 from metrocli.tasks.calibrate_machine.warnings import identifiability_notes
 
@@ -52,7 +50,7 @@ def plan_of_points(settings: Settings, points: Table | None) -> Plan:
     count = max(float(_FEWEST), 2 * sum(len(axis.knots) for axis in machine_of(settings).axes) / len(settings.tools))
     while True:
         table = all_over(settings, round(count))
-        worth = _worth(settings, _seen(settings, table))
+        worth = worth_or_lack(settings, _seen(settings, table))
         if isinstance(worth, Worth) and worth.identified.ratio <= wanted.ratio:
             break
         if count > _MOST:
@@ -72,36 +70,8 @@ def plan_of_points(settings: Settings, points: Table | None) -> Plan:
     return planned(notes, (Estimate("points", float(len(table)), 0.0, "1"),), worth, files, [])
 
 
-def plan_of_lines(settings: Settings, lines: Table | None) -> Plan:
-    """Return what the job's lines will determine, and propose lines along the axes and three face diagonals."""
-    wanted, machine = settings.plan or PathPlan(), machine_of(settings)
-    own = [] if lines is None else judged("the lines of the job", settings, lambda: six_dof(settings, lines))
-    given = planned_lines(machine, (settings.simulation or MachineSimulation()).step)
-    names = {"line": np.array(given.names)[given.of], "axis": np.array(given.axis)[given.of]}
-    table = Table.of({**names, "position [mm]": given.distance, "x y z [mm]": given.position.T})
-    read = table.joined(dict.fromkeys(CHANNELS, np.zeros(len(table))))
-    worth = _worth(settings, lambda: six_dof(settings, read))
-    if not isinstance(worth, Worth):
-        raise worth
-    blocks: list[NcBlock] = []
-    for k, name in enumerate(given.names):
-        blocks.append(Stop(f"set the laser up along {name}"))
-        blocks += visits(given.position[:, given.of == k].T, wanted.feed)
-    text = program("metrocli lines for calibrate-machine", [*PLACES, "a reading in each dwell"], blocks, wanted.control)
-    notes = [*own, f"proposed: {len(given.names)} lines", *identifiability_notes(worth.identified)[1:]]
-    warnings = (
-        [
-            f"the lines have a ratio of {worth.identified.ratio:.1f}, more than {wanted.ratio:g}: "
-            "measure further lines at other places"
-        ]
-        if worth.identified.ratio > wanted.ratio
-        else []
-    )
-    files: dict[str, Table | str] = {"lines.csv": table, "lines.nc": text}
-    return planned(notes, (Estimate("readings", float(len(table)), 0.0, "1"),), worth, files, warnings)
-
-
 def visits(places: Array, feed: float) -> list[NcBlock]:
+    """Return moves to places (n, 3) with a rest at each."""
     return [block for at in places.tolist() for block in (Feed(dict(zip("XYZ", at, strict=True)), feed), Dwell(REST))]
 
 
@@ -126,7 +96,8 @@ def _seen(settings: Settings, table: Table) -> Callable[[], MachineProblem]:
     return lambda: standstill(settings, without_errors(settings, table, NO_FILES, pose)[0])
 
 
-def _worth(settings: Settings, problem: Callable[[], MachineProblem]) -> Worth | UndeterminedError:
+def worth_or_lack(settings: Settings, problem: Callable[[], MachineProblem]) -> Worth | UndeterminedError:
+    """Return what the readings of a problem will determine, or what they leave open."""
     try:
         return worth_of(settings, problem())
     except UndeterminedError as error:
@@ -135,7 +106,7 @@ def _worth(settings: Settings, problem: Callable[[], MachineProblem]) -> Worth |
 
 def judged(head: str, settings: Settings, problem: Callable[[], MachineProblem]) -> list[str]:
     """Return lines of text on what the readings of the job will determine."""
-    worth = _worth(settings, problem)
+    worth = worth_or_lack(settings, problem)
     lines: Sequence[str] = (
         identifiability_notes(worth.identified)[1:] if isinstance(worth, Worth) else str(worth).splitlines()
     )

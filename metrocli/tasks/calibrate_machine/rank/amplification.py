@@ -17,6 +17,8 @@ from metrocli.instruments.tracer import AIR, STOP
 from metrocli.tasks.calibrate_machine.problem import NETWORK, MachineProblem
 from metrocli.tasks.calibrate_machine.volume import rows_over_volume
 
+_ROUNDING = 1e-12
+"""Share of the largest square below which one is rounding"""
 _LOOSE = 1e6
 """Factor on the standard deviations of conditions that makes their weights like those of readings of 1 mm"""
 
@@ -27,7 +29,7 @@ def worst_ratio(problem: MachineProblem) -> float:
     `max |G v| / |J v|` over all errors v that the tables can describe. G maps v to the error in the volume after the
     best rigid motion, J to the readings after the fit of the tracker's frame. What only a prior
     holds, such as the index of the air, stays as it is, and so do the errors that an earlier calibration gives. Returns
-    inf if J is rank deficient.
+    inf if J does not see what moves the tool.
     """
     blocks = {name: _without(block, problem.given) for name, block in problem.blocks.items()}
     names = [name for name, block in blocks.items() if block.free.any() and name not in (TOOL, STOP, AIR, NETWORK)]
@@ -39,11 +41,13 @@ def worst_ratio(problem: MachineProblem) -> float:
     path = normal_matrix([unit_noise(problem.readings, unit), *_loose(problem.groups)], blocks, unknowns)
     volume = volume_matrix(problem, unknowns)
     scale = 1 / np.sqrt(np.maximum(np.diag(path), 1e-300))
-    try:
-        root = np.linalg.inv(np.linalg.cholesky(path * scale[:, None] * scale)) * scale
-    except np.linalg.LinAlgError:
+    values, vectors = np.linalg.eigh(path * scale[:, None] * scale)
+    unseen, moves = values < _ROUNDING * values[-1], volume * scale[:, None] * scale
+    # what only a list holds, such as the turn of all reflectors with the stations, is seen by no reading
+    if np.abs(vectors[:, unseen].T @ moves @ vectors[:, unseen]).max(initial=0.0) > _ROUNDING * np.trace(moves):
         return float("inf")
-    return float(np.sqrt(max(np.linalg.eigvalsh(root @ volume @ root.T)[-1], 0.0)))
+    root = vectors[:, ~unseen] / np.sqrt(values[~unseen])
+    return float(np.sqrt(max(np.linalg.eigvalsh(root.T @ moves @ root)[-1], 0.0)))
 
 
 def _without(block: Block, given: Collection[str]) -> Block:

@@ -1,0 +1,88 @@
+"""Mistakes of people with machines that have rotary axes: each is named with what to write, after it was tried."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hints.edits import Edit, cells, exchanged, first, put, then, times
+from places import SAMPLES
+from simulated import five_axis as sim
+
+Metrocli = Callable[..., Any]
+FEW = first(45)
+GON = 1 / 0.9
+MISTAKES: dict[str, tuple[str, Edit, str]] = {
+    "c in radians": ("data/after.csv", times(0.0174532925, "c_deg"), "write c_rad in the heading"),
+    "c in gon": ("data/after.csv", times(GON, "c_deg"), "write c_gon in the heading"),
+    "all in gon": ("data/after.csv", times(GON, "a_deg", "c_deg"), "write a_gon and c_gon in the heading"),
+    "headings": ("data/after.csv", put("a_deg,c_deg", "c_deg,a_deg"), "write c for a and a for c in the headings"),
+    "order": ("jobs/after.yaml", put("wCAbXYZt", "wACbXYZt"), "write chain: wCAbXYZt"),
+    "tool": ("jobs/after.yaml", put("0 mm, -120 mm]}", "0 mm, 120 mm]}"), "z of T1 has the wrong sign"),
+    "twice": ("data/after.csv", lambda text: text + "".join(text.splitlines(keepends=True)[1:]), "remove the copy"),
+    "half a turn": ("jobs/after.yaml", put("[0 deg, 360 deg]", "[-180 deg, 180 deg]"), "or `periodic: true`"),
+}
+SLOW = ("c in gon", "headings", "order", "tool")
+
+
+@pytest.mark.parametrize("name", [pytest.param(one, marks=pytest.mark.slow if one in SLOW else ()) for one in MISTAKES])
+def test_a_mistake_is_named(name: str, tmp_path: Path, metrocli: Metrocli, monkeypatch: pytest.MonkeyPatch) -> None:
+    shutil.copytree(SAMPLES / "five-axis", tmp_path, dirs_exist_ok=True)
+    monkeypatch.chdir(tmp_path)
+    file, edit, message = MISTAKES[name]
+    data = Path("data/after.csv")
+    data.write_text(FEW(data.read_text()))
+    assert metrocli("calibrate-machine", "jobs/after.yaml", "--output", "right.h5").code == 0
+    Path(file).write_text(then(edit)(Path(file).read_text()))
+    ran = metrocli("calibrate-machine", "jobs/after.yaml", "--output", "wrong.h5")
+    assert ran.code == 3 and message in ran.err, ran.err
+    assert not Path("wrong.h5").exists()
+
+
+def polar(text: str) -> str:
+    """Give the points of a tracker as distance, azimuth and elevation."""
+    head, *rows = [line.split(",") for line in text.splitlines()]
+    at = head.index("mx_mm")
+    read = np.array([row[at : at + 3] for row in rows], dtype=float)
+    far = np.linalg.norm(read, axis=1)
+    angles = np.degrees([np.arctan2(read[:, 1], read[:, 0]), np.arcsin(read[:, 2] / far)])
+    seen = [f"{d:.9f},{azimuth:.12f},{elevation:.12f}" for d, azimuth, elevation in zip(far, *angles, strict=True)]
+    lines = [",".join([*row[:at], one, *row[at + 3 :]]) for row, one in zip(rows, seen, strict=True)]
+    names = ",".join([*head[:at], "distance_mm", "azimuth_deg", "elevation_deg", *head[at + 3 :]])
+    return "\n".join([names, *lines, ""])
+
+
+ANGLES = ("azimuth_deg", "elevation_deg")
+OF_TRACKERS: dict[str, tuple[Edit, str]] = {
+    "radians": (times(0.0174532925199, *ANGLES), "write azimuth_rad and elevation_rad in the heading"),
+    "gon": (times(GON, *ANGLES), "write azimuth_gon and elevation_gon in the heading"),
+    "zenith": (cells("elevation_deg", lambda cell: 90 - float(cell)), "elevation_deg has zenith distances"),
+    "tools": (exchanged("tool", "T1", "T2"), "the tools T1 and T2 are under each other's names"),
+    "both": (
+        lambda text: text.replace("t_s", "t_s,mx_mm").replace(".0\n", ".0,1\n"),
+        "keep mx, my and mz, or distance",
+    ),
+}
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(one, marks=pytest.mark.slow if one != "both" else ()) for one in OF_TRACKERS]
+)
+def test_a_mistake_in_polar_readings_is_named(name: str, tmp_path: Path, metrocli: Metrocli) -> None:
+    rng = np.random.default_rng(77)
+    machine = sim.drawn(sim.KINDS["head-table"], rng, linear=False)
+    job = sim.tracked(tmp_path, machine, rng, 90, (2e-3, 5e-3, 0.0), "bed", workpiece=3)
+    job.write_text(job.read_text().replace("estimate: all", "estimate: locations"))
+    points = tmp_path / "points.csv"
+    points.write_text(polar(points.read_text()))
+    right = metrocli("calibrate-machine", job, "--output", tmp_path / "right.h5")
+    assert right.code == 6 or right.code == 0, right.err
+    edit, message = OF_TRACKERS[name]
+    points.write_text(edit(points.read_text()))
+    ran = metrocli("calibrate-machine", job, "--output", tmp_path / "wrong.h5")
+    assert ran.code == 3 and message in ran.err, ran.err
+    assert not (tmp_path / "wrong.h5").exists()
