@@ -30,6 +30,7 @@ class Quantity(Enum):
     ERROR_MOTION = "displacement and rotation of a machine's tool against its workpiece"
     DISPLACEMENT = "displacement of a machine's tool along a line"
     POINT_IN_TRACKER = "point in the frame of the laser tracker"
+    POINT_IN_NETWORK = "point as a network has measured it"
     POLAR = "azimuth, elevation and distance in the frame of an instrument"
     SIGHTING = "readings of a sighting"
     HEIGHT_DIFFERENCE = "height difference"

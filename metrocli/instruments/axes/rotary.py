@@ -52,7 +52,7 @@ def errors_by_word(chain: Sequence[str]) -> dict[str, tuple[str, ...]]:
     The zero position of a rotary axis is 0 by definition, except of a head that carries the tool, where it is the tilt
     of the spindle in that plane; then two angles of the spindle are unknown too. All other tools have the machine's
     axes. Of tables alone, with nothing that moves the tool, the axis next to the bed is the frame: it has no location.
-    Of heads alone, a mount, likewise; along it and about it nothing says where the other axis or the tool is.
+    So it is in a mount, of heads alone. There no reading shows the other axis, or the tool, along it or about it.
     """
     linear, turning = ([name for name in kind if name in chain] for kind in (AXES, ANGLES))
     carries = chain[-1] if chain[-1] in ANGLES else ""

@@ -64,7 +64,7 @@ def tips(machine: Machine, position: Array, tool: int | Index) -> Array:
     """Return where the tool is on the workpiece at commanded positions (axes, n), (3, n), up to a shift."""
     if not machine.turns:
         return position
-    return nominal_tip(machine, position, machine.tools[tool, :, None])[0]
+    return nominal_tip(machine, position, np.atleast_2d(machine.tools[tool]).T)[0]
 
 
 def rigid_motions(position: Array) -> Array:

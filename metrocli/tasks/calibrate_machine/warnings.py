@@ -138,8 +138,7 @@ def identifiability_notes(identified: Identifiability) -> list[str]:
     if not identified.undetermined:
         lines.append("  every error is determined")
     if identified.zeros:
-        given = "is as given and says" if len(identified.zeros) == 1 else "are as given and say"
-        lines.append(f"  {listed(identified.zeros)} {given} where the axes are at 0: no reading shows it")
+        lines.append(f"  no reading shows where the axes are at 0: {listed(identified.zeros)} count as given")
     return lines
 
 

@@ -48,7 +48,8 @@ class JointErrors(OfBlock):
 
     root: Array
     """L, (points, 3, k)"""
-    takes = gives = Quantity.POINT_IN_TRACKER
+    # effects act before: one that stretched these errors too would make them small
+    takes, gives = Quantity.POINT_IN_TRACKER, Quantity.POINT_IN_NETWORK
 
     def step(self, value: Array, local: LinkContext) -> Step:
         """Return the points (3, n), with their derivatives L by z, (3, k, n)."""
