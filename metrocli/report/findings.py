@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 
 from metrocli import units
-from metrocli.plots import budget, overstock, volume_map
+from metrocli.plots import overstock, volume_map
 from metrocli.plots.beside import chosen_law, law_in_words, sizes_in_words
+from metrocli.plots.budgets import contributors
 from metrocli.plots.magnify import length_in_words, micro
 from metrocli.plots.noise_bands import largest_of
 from metrocli.plots.places import places_of
@@ -147,7 +148,7 @@ def _largest_shares(result: Result) -> Iterator[str]:
         x, y, z = volume.largest_at
         size = length_in_words(K * volume.largest)
         yield f"Least known of the volume: ({x:g}, {y:g}, {z:g}) mm, {size} in space (k = 2)."
-    for chart in (budget.data(result, "") or ())[:_MEASURANDS]:
+    for chart in (contributors.data(result, "") or ())[:_MEASURANDS]:
         yield f"Largest contributor to {chart.measurand}: {chart.names[0]}, {chart.shares[0]:.0f} % of the variance."
 
 
