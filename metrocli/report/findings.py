@@ -45,7 +45,8 @@ def row_of(result: Result, estimate: Estimate, text: str = "") -> tuple[str, str
     elif unit and not estimate.dimension:
         size, unit = compound_unit(estimate, text)
     value, uncertainty = units.rounded(estimate.value / size, spread / size)
-    return estimate.name, value, "" if value == uncertainty == units.NOT_DETERMINED else uncertainty, micro(unit)
+    stated = value != units.NOT_DETERMINED and spread != 0
+    return estimate.name, value, uncertainty if stated else "", micro(unit)
 
 
 GOOD, WARNED, BAD = "good", "warned", "bad"
