@@ -98,10 +98,7 @@ def fitted_features(wanted: Sequence[RequestedFeature], points: FeaturePoints) -
             own[unknown] = np.eye(3) * noise**2
             dofs[feature.name] = float(dof)
             text = f"noise of a coordinate {sized(noise, 'length')}, by {dof} degrees of freedom; form counts as noise"
-            exact = (
-                "its points fit to the rounding of their numbers; nothing shows their noise, no uncertainty is stated"
-            )
-            notes.append(f"feature '{feature.name}': {text if noise else exact}")
+            notes.append(f"feature '{feature.name}': {text if noise else _NO_NOISE}")
     rows = np.arange(len(own))
     joint = Joint(points.common, points.core, rows, np.nan_to_num(own), np.zeros(len(own)))
     corrected = Table.of({"point": points.table.texts("point"), "x y z [mm]": points.places})
