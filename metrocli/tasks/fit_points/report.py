@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -24,6 +25,8 @@ from metrocli.words import listed
 
 _NOTABLE = 0.95
 """A mirror image is named that has so many times the deviations or fewer"""
+_CONTROLLED = 1e-6
+"""Redundancy from which a reading has a test of its own"""
 _RIGID = 6
 """Unknowns of a transformation without a scale"""
 
@@ -75,7 +78,7 @@ def report(problem: PointPairs, solution: Solution, mirrored: float, wanted: Seq
     tables = {
         "points": Table.of(points),
         "residuals": Table.stack(
-            [residual_table(residuals, group) for residuals, group in zip(read, groups, strict=True)]
+            [residual_table(_in_noise(residuals, factor), group) for residuals, group in zip(read, groups, strict=True)]
         ),
         "suspects": Table.of({"point [text]": list(worst), "w": list(worst.values())}),
     }
@@ -93,6 +96,16 @@ def report(problem: PointPairs, solution: Solution, mirrored: float, wanted: Seq
         notes=tuple(_notes(problem, solution, size, mirrored, exact)),
     )
     return result if laid is None else laid.added_to(result, covariance @ change.T)
+
+
+def _in_noise(residuals: Residuals, factor: float) -> Residuals:
+    """Return residuals relative to the noise that is found: that of the adjustment times a factor; 0: no noise.
+
+    They are not controlled where the errors are those of the measured points, whose own list tests them.
+    """
+    controlled = (residuals.redundancy > _CONTROLLED) & (factor > 0)
+    normalised = np.where(controlled, residuals.normalised / (factor or 1.0), np.nan)
+    return replace(residuals, sigma=residuals.sigma * factor, normalised=normalised)
 
 
 def _merged(read: list[Residuals]) -> Residuals:
