@@ -50,7 +50,7 @@ SCHEDULER = click.option(
 
 
 def result_file(path: Path | None) -> Path | None:
-    """Return the value of --output; raises UsageError for a name that is none of a result."""
+    """Return the value of --output; raises UsageError if it is not the name of a result file."""
     if path is not None and path.suffix != ".h5":
         raise UsageError(f"--output {path}: the name of a result file ends in .h5")
     return path

@@ -47,6 +47,12 @@ class LineNoise:
         covariance[np.arange(3, 6), np.arange(3, 6)] = self.angle**2
         return covariance
 
+    def drawn(self, along: Array, rng: np.random.Generator) -> Array:
+        """Return random errors of the channels of lines along unit vectors (3, n), (6, n), with that covariance."""
+        shifts, angles = rng.normal(size=(2, 3, along.shape[1]))
+        more = (self.displacement - self.straightness) * (along * shifts).sum(axis=0)
+        return np.concatenate([self.straightness * shifts + more * along, self.angle * angles])
+
 
 def line_block(names: Sequence[str], free: Mask | bool = True) -> Block:
     """Return the block of misalignments of the lines, (lines, 8), all zero; those in `free` are unknown."""

@@ -48,7 +48,7 @@ def _significant(value: float, std: float) -> int:
 
 
 def with_std(value: float, std: float) -> str:
-    """Return a value and its standard uncertainty as "12.3457 ± 0.0012", or "not determined"; 0 is none."""
+    """Return a value and its standard uncertainty as "12.3457 ± 0.0012", or "not determined"; without ± if it is 0."""
     number, spread = rounded(value, std)
     return number if number == NOT_DETERMINED or std == 0 else f"{number} ± {spread}"
 

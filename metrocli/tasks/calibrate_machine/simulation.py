@@ -37,6 +37,7 @@ from metrocli.tasks.calibrate_machine.methods.poses import STATIONS, around, clo
 from metrocli.tasks.calibrate_machine.methods.simulated_poses import simulated_turning
 from metrocli.tasks.calibrate_machine.methods.six_dof import (
     approach,
+    axes_alone,
     laser_noise,
     line_conditions,
     lines_of,
@@ -233,7 +234,8 @@ def _feeds(job: _Measurement, table: Table, path: Path) -> Array:
 def _lines(job: _Measurement, truth: TrueMachine, rng: np.random.Generator) -> tuple[Table, Model]:
     """Return the lines of the job, or along the axes to and fro and three face diagonals, each randomly misaligned."""
     table, machine = job.files.lines, machine_of(job.settings)
-    lines = planned_lines(machine, job.simulation.step) if table is None else lines_of(machine, table)
+    axes = axes_alone(job.settings)
+    lines = planned_lines(machine, job.simulation.step, axes) if table is None else lines_of(machine, table)
     along = lines.along
     block = line_block(lines.names)
     shifts = rng.normal(size=block.values.shape) * _MISALIGNED
@@ -241,10 +243,13 @@ def _lines(job: _Measurement, truth: TrueMachine, rng: np.random.Generator) -> t
     more = line_conditions(lines, along) | approach(lines)
     flow = Flow(lines.position, np.zeros(len(lines.of), dtype=np.intp), given | more, {LINE: lines.of})
     readings, model = job.read(truth.model(line_chain(truth.machine), {LINE: block.with_values(shifts)}, flow))
-    root = np.linalg.cholesky(np.moveaxis(laser_noise(job.settings).covariance(along[lines.of].T), -1, 0))
-    readings = readings + np.einsum("nab,bn->an", root, rng.normal(size=readings.shape))
+    readings = readings + laser_noise(job.settings).drawn(along[lines.of].T, rng)
     names = {"line": np.array(lines.names)[lines.of], "axis": np.array(lines.axis)[lines.of]}
     channels = {" ".join(CHANNELS[:3]) + " [mm]": readings[:3].T, " ".join(CHANNELS[3:]) + " [rad]": readings[3:].T}
+    if axes:
+        directions = np.array(lines.axis)[lines.of]
+        own = {axis: np.where(directions == axis, readings["xyz".index(axis)], np.nan) for axis in axes}
+        channels = {f"e{axis} [mm]": values for axis, values in own.items()}
     when = {heading(name): column for name, column in given.items()}
     places = (
         {} if table is None else {f"{axis} [mm]": lines.position[i] for i, axis in enumerate(POSITION) if axis in table}

@@ -174,9 +174,9 @@ def _laid_features(
 def _exactness(exact: bool, rounding: float) -> Iterator[str]:
     if exact:
         yield (
-            f"all points fit to the rounding of their numbers (deviations below {rounding:.1g} mm), which measured "
-            "points do not: is one list calculated from the other? Nothing shows the noise, so no uncertainty is "
-            "stated; give `noise` or a column sigma_mm"
+            f"all points fit to the rounding of their numbers (deviations below {rounding:.1g} mm), as where one list "
+            "is calculated from the other. Nothing shows the noise of a measurement, so no uncertainty is stated; give "
+            "`noise` or a column sigma_mm"
         )
 
 

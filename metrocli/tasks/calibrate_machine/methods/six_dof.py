@@ -6,6 +6,8 @@ If all tables are zero, two face diagonals d1, d2 give `C0Y = (d2^2 - d1^2) / (4
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from metrocli.adjust.model.groups import Group
@@ -38,7 +40,8 @@ DIRECTIONS = {"x": (0,), "y": (1,), "z": (2,), "xy": (0, 1), "yz": (1, 2), "xz":
 """Numbers of the axes that move along a line, by the name of its direction"""
 _APART = 0.01
 """The columns x, y, z and the distance along the line may disagree by this [mm]"""
-_LEAST = 3
+_LEAST, _RUNS = 3, 5
+"""Targets of a planned line at least, and runs in each direction (ISO 230-2)"""
 _LEAST_PART = 1e-6
 """An axis stands still on a line if its part of the line's direction is smaller than this"""
 
@@ -262,20 +265,30 @@ def line_conditions(lines: MeasuredLines, along: Array) -> dict[str, Array]:
     return distances | dict(zip((*ACROSS, *ALONG), (*across, *along[lines.of].T), strict=True))
 
 
-def planned_lines(machine: Machine, step: float) -> MeasuredLines:
-    """Return lines along the axes in both directions and along three face diagonals, with readings every `step` mm."""
+def planned_lines(machine: Machine, step: float, axes: Sequence[str] = ()) -> MeasuredLines:
+    """Return lines along the axes in both directions and along three face diagonals, with readings every `step` mm.
+
+    With `axes` they are along these alone, each five times to and fro: the test of ISO 230-2.
+    """
     of, positions, distances = [], [], []
-    for line, moving in enumerate(DIRECTIONS.values()):
+    names = tuple(axes) or tuple(DIRECTIONS)
+    for line, moving in enumerate(DIRECTIONS[name] for name in names):
         size = (machine.high - machine.low) * np.isin(np.arange(3), moving)
         length = float(np.linalg.norm(size))
         along = np.linspace(0.0, length, max(_LEAST, round(length / step) + 1))
         way = np.append(along, along[::-1]) if len(moving) == 1 else along
+        way = np.tile(way, _RUNS) if axes else way
         start = np.where(size > 0, machine.low, machine.home)
         of.append(np.full(len(way), line))
         positions.append(start[:, None] + size[:, None] / length * way)
         distances.append(way if len(moving) > 1 else positions[-1][moving[0]])
-    names = tuple(DIRECTIONS)
     return MeasuredLines(names, names, np.concatenate(of), np.concatenate(positions, axis=1), np.concatenate(distances))
+
+
+def axes_alone(settings: Settings) -> tuple[str, ...]:
+    """Return the axes of a laser or a scale that reads displacement alone, by its noise; none with six channels."""
+    alone = settings.noise.straightness is None and settings.noise.angle is None
+    return tuple(letter.lower() for letter in settings.machine.axes.given) if alone else ()
 
 
 def laser_noise(settings: Settings) -> LineNoise:

@@ -18,7 +18,7 @@ from metrocli.table import Table
 from metrocli.tasks.calibrate_machine.described import machine_of
 from metrocli.tasks.calibrate_machine.files import NO_FILES
 from metrocli.tasks.calibrate_machine.methods.poses import without_errors
-from metrocli.tasks.calibrate_machine.methods.six_dof import planned_lines, six_dof
+from metrocli.tasks.calibrate_machine.methods.six_dof import axes_alone, planned_lines, six_dof
 from metrocli.tasks.calibrate_machine.methods.standstill import standstill
 from metrocli.tasks.calibrate_machine.plans.planned import (
     PLACES,
@@ -76,10 +76,11 @@ def plan_of_lines(settings: Settings, lines: Table | None) -> Plan:
     """Return what the job's lines will determine, and propose lines along the axes and three face diagonals."""
     wanted, machine = settings.plan or PathPlan(), machine_of(settings)
     own = [] if lines is None else judged("the lines of the job", settings, lambda: six_dof(settings, lines))
-    given = planned_lines(machine, (settings.simulation or MachineSimulation()).step)
+    axes = axes_alone(settings)
+    given = planned_lines(machine, (settings.simulation or MachineSimulation()).step, axes)
     names = {"line": np.array(given.names)[given.of], "axis": np.array(given.axis)[given.of]}
     table = Table.of({**names, "position [mm]": given.distance, "x y z [mm]": given.position.T})
-    read = table.joined(dict.fromkeys(CHANNELS, np.zeros(len(table))))
+    read = table.joined(dict.fromkeys([f"e{axis}" for axis in axes] or CHANNELS, np.zeros(len(table))))
     worth = _worth(settings, lambda: six_dof(settings, read))
     if not isinstance(worth, Worth):
         raise worth
