@@ -32,16 +32,21 @@ def likely_board(pattern: Pattern, pictures: Iterable[Picture]) -> str:
         return "" if own else "AprilTags with a border of two cells: is it type: aprilgrid?"
     if pattern.type in ("circles", "asymmetric-circles") and (size := _likely_circles(pattern, reduced)):
         return _in_words(size, "")
+    if pattern.type == "charuco" and _marked(reduced):
+        return ""  # its search has named other layouts and dictionaries
     sizes = [size for picture in reduced if (size := shown_size(picture)) is not None]
     size = max(sizes, key=sizes.count, default=None)
     if size is not None and sizes.count(size) > _SHARE * len(reduced):
         return _in_words(size, "" if pattern.type == "chessboard" else "type: chessboard, ")
-    if pattern.type == "charuco":
-        return ""  # its search has named other layouts and dictionaries
-    names = [name for name, count in map(markers_in, reduced) if count >= _MARKERS]
+    name = "" if pattern.type == "charuco" else _marked(reduced)
+    return f"markers of {name}: is it type: charuco, dictionary: {name}?" if name else ""
+
+
+def _marked(pictures: Sequence[Picture]) -> str:
+    """Return the dictionary of the markers that most pictures show; empty if they show none."""
+    names = [name for name, count in map(markers_in, pictures) if count >= _MARKERS]
     name = max(names, key=names.count, default="")
-    likely = names.count(name) > _SHARE * len(reduced)
-    return f"markers of {name}: is it type: charuco, dictionary: {name}?" if likely else ""
+    return name if names.count(name) > _SHARE * len(pictures) else ""
 
 
 def _in_words(size: tuple[int, int], kind: str) -> str:
