@@ -70,8 +70,8 @@ def command(
     if form is None and root is not None:
         form = "columns"
     if form is None:
-        from metrocli.imports.columns import proposed
         from metrocli.imports.known_files import format_of
+        from metrocli.imports.proposed_mapping import proposed
 
         if known := format_of(lines):
             raise UsageError(f"{file} is a file for --from {known}: metrocli import {file} --from {known}")
