@@ -125,9 +125,8 @@ def _of_toolbox(lines: TextLines, text: str) -> ReadCamera:
     form = _form(lines, "opencv", "opencv", len(lists["kc"]))
     values = dict(zip(("fx", "fy", "cx", "cy"), [*lists["fc"], *lists["cc"]], strict=True))
     if is_number(skew) and float(skew):
-        raise InputError(
-            [lines.fault("the camera has a skew (alpha_c), which OpenCV does not use", None, "set it to 0")]
-        )
+        hint = "calibrate without it: est_alpha = 0"
+        raise InputError([lines.fault("the camera has a skew (alpha_c), which OpenCV does not use", None, hint)])
     return _read(lines, "opencv", form, [str(side) for side in size], {**values, **_named(form, lists["kc"])})
 
 

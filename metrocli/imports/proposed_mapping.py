@@ -21,7 +21,7 @@ _KEYED = {"<": "XML", "{": "JSON", "[": "JSON"}
 
 
 @dataclass(frozen=True)
-class _Rows:
+class _TailRows:
     """Rows of equal numbers of cells at the end of a file."""
 
     separator: str
@@ -76,12 +76,12 @@ def proposed(lines: TextLines) -> str:
     )
 
 
-def _at_the_end(separator: str, kept: Sequence[tuple[int, str]]) -> _Rows:
+def _at_the_end(separator: str, kept: Sequence[tuple[int, str]]) -> _TailRows:
     """Return the last rows of a file that have the same number of cells with a separator."""
     rows = [(number, cells_of(line, separator)) for number, line in kept]
     width = len(rows[-1][1])
     other = [place for place, (_, cells) in enumerate(rows) if len(cells) != width]
-    return _Rows(separator, rows[other[-1] + 1 :] if other else rows, not other)
+    return _TailRows(separator, rows[other[-1] + 1 :] if other else rows, not other)
 
 
 def _signs(numbers: Sequence[str]) -> tuple[str, str]:
@@ -95,7 +95,7 @@ def _signs(numbers: Sequence[str]) -> tuple[str, str]:
 
 
 def _comment(lines: Sequence[str]) -> str:
-    """Return the sign with which all these lines begin, nothing if it is none."""
+    """Return the sign with which all these lines begin, nothing where they differ."""
     return next((mark for mark in _COMMENTS if lines and all(line.lstrip().startswith(mark) for line in lines)), "")
 
 

@@ -194,7 +194,7 @@ def test_forms_of_other_programs_are_read_and_named(
 
 def test_a_skew_of_the_toolbox_is_refused(tmp_path: Path, metrocli: Metrocli) -> None:
     ran = imported(tmp_path, TOOLBOX.replace("alpha_c = 0.0", "alpha_c = 0.1"), "matlab", metrocli)
-    assert ran.code == 3 and "alpha_c is a skew" in ran.err
+    assert ran.code == 3 and "a skew (alpha_c)" in ran.err
 
 
 @pytest.mark.parametrize(
