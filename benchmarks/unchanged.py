@@ -62,7 +62,7 @@ def case(kind: str, source: Path, kept: Path) -> None:
         work = shutil.copytree(source, Path(folder) / "case")
         job = work / "job.yaml"
         metrocli([kind, str(job), "--output", str(kept / "result.h5"), "-q"], kept / "run")
-        metrocli(["diagnose", str(job), "--json", "--output", str(work / "extended.yaml")], kept / "diagnose")
+        metrocli(["diagnose", str(job), "--json", "--out", str(work / "extended.yaml")], kept / "diagnose")
 
 
 def sample(source: Path, kept: Path) -> None:
@@ -78,7 +78,7 @@ def sample(source: Path, kept: Path) -> None:
             result = (job.parent / described["output"]).resolve()
             if result.is_file():
                 shutil.copy(result, below / "result.h5")
-            metrocli(["diagnose", str(job), "--json", "--output", str(below / "extended.yaml")], below / "diagnose")
+            metrocli(["diagnose", str(job), "--json", "--out", str(below / "extended.yaml")], below / "diagnose")
             metrocli(["plan", str(job), "--json", "--out", str(below / "plan")], below / "plan")
             metrocli(["simulate", str(job), "--seed", "7", "--out", str(below / "simulated")], below / "simulate")
             for form in FORMATS:

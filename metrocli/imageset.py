@@ -1,8 +1,8 @@
-"""The interface of a set of images: named, of equal size, and read one at a time."""
+"""The interface of a set of images: named, and read one at a time."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from typing import Protocol
 
 from metrocli.arrays import Picture
@@ -17,7 +17,10 @@ class ImageSet(Protocol):
 
     @property
     def size(self) -> tuple[int, int]:
-        """Width and height in pixels, the same for all images."""
+        """Width and height of all images in pixels; raises InputError that names those of another size."""
+
+    def size_of(self, names: Collection[str]) -> tuple[int, int]:
+        """Return width and height of these images; raises as `size`."""
 
     def __hash__(self) -> int:
         """Return the hash of what decides its content."""

@@ -49,6 +49,7 @@ class CriterionVerdict:
         outcome = "met" if self.met else "NOT met"
         text = format_quantity(*as_stated(self.value, self.unit, self.condition))
         if self.decision:
+            text = f"{self.value:.10g} {'' if self.unit == '1' else self.unit}".strip()
             return f"conformity of {self.name}, {self.condition}: {self.decision} ({text})"
         return f"required {self.name} {self.condition}: {outcome} ({text})"
 

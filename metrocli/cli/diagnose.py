@@ -31,7 +31,13 @@ CLEAN = "clean"
 @click.option("--quick", is_flag=True, help="Look for effects and wrong readings only: the first answer, in seconds.")
 @click.option("--full", is_flag=True, help="List all candidates: what is excluded, and what could not be seen.")
 @click.option(
-    "--output", type=click.Path(path_type=Path), metavar="FILE.yaml", help="Write the extended job to this file."
+    "--out", type=click.Path(path_type=Path), metavar="FILE.yaml", help="Write the extended job to this file."
+)
+@click.option(
+    "--output",
+    type=click.Path(path_type=Path),
+    metavar="FILE.h5",
+    help="Result of the job, beside which the diagnosis is kept.",
 )
 @click.option("--require", type=click.Choice([CLEAN]), help="Exit code 6 unless the verdict is this one.")
 @click.option("--limit", default="120 s", metavar="TIME", help="CPU time of the searches, e.g. '60 s'; default 120 s.")
@@ -52,11 +58,11 @@ CLEAN = "clean"
 @options.QUIET
 @options.VERBOSE
 def command(
-    job: Path, design: bool, output: Path | None, following: int | None, force: bool, as_json: bool, **wanted: Any
+    job: Path, design: bool, out: Path | None, following: int | None, force: bool, as_json: bool, **wanted: Any
 ) -> int:
     """Diagnose, write the extended job where effects were named, and print the report.
 
-    Where the extended job cannot be written, the report is printed with a warning; with `--output` it is an error.
+    Where the extended job cannot be written, the report is printed with a warning; with `--out` it is an error.
     """
     from metrocli.project.job import JobOptions, load
 
@@ -67,12 +73,15 @@ def command(
     if wanted["quick"] and (design or wanted["until_clean"] or following is not None or wanted["full"]):
         raise UsageError("--quick is the first answer alone: leave --design, --until-clean, --next and --full out")
     console = Console(wanted["quiet"] or as_json, wanted["verbose"])
-    asked = JobOptions(wanted["overrides"], accept_doubtful=wanted["accept_doubtful"])
+    result = wanted["output"]
+    if result is not None and result.suffix in (".yaml", ".yml"):
+        raise UsageError(f"--output {result}: it names the result of the job, FILE.h5; --out names the extended job")
+    asked = JobOptions(wanted["overrides"], options.result_file(result), accept_doubtful=wanted["accept_doubtful"])
     if design:
         return _design(job, asked, as_json, console)
     if wanted["until_clean"]:
         return _loop(load(job, asked), wanted, force, as_json)
-    return _once(load(job, asked), wanted, output, following, force, as_json)
+    return _once(load(job, asked), wanted, out, following, force, as_json)
 
 
 def _design(path: Path, asked: JobOptions, as_json: bool, console: Console) -> int:
@@ -93,7 +102,7 @@ def _design(path: Path, asked: JobOptions, as_json: bool, console: Console) -> i
 
 
 def _once(
-    loaded: JobFile, wanted: dict[str, Any], output: Path | None, following: int | None, force: bool, as_json: bool
+    loaded: JobFile, wanted: dict[str, Any], out: Path | None, following: int | None, force: bool, as_json: bool
 ) -> int:
     """Print the diagnosis of a job, and write the extended job."""
     from metrocli.cli import summary
@@ -108,7 +117,7 @@ def _once(
     with ordered_on(wanted["scheduler"], alike_for([(loaded.kind, loaded.own.packages)])) as ordered:
         first = _first_answer if console.is_watched and not (console.quiet or wanted["quick"]) else None
         diagnosis = diagnosed.carry_out(loaded, console, limit, first_interrupt, ordered, wanted["quick"], first)
-    extended = _extended(loaded, diagnosis, output, force)
+    extended = _extended(loaded, diagnosis, out, force)
     proposed = None if following is None else next_readings(diagnosis, following)
     data = _data(loaded, diagnosis, None if extended is None else extended.path)
     if as_json:
@@ -129,14 +138,14 @@ def _first_answer(diagnosis: Diagnosis) -> None:
     echo("\n".join(["first answer, to be refined:", *lines]), err=True)
 
 
-def _extended(job: JobFile, diagnosis: Diagnosis, output: Path | None, force: bool) -> Extended | None:
+def _extended(job: JobFile, diagnosis: Diagnosis, out: Path | None, force: bool) -> Extended | None:
     """Write the extended job, where effects were named; what prevents it is an error if a file was asked for."""
     from metrocli.project import diagnosed
 
     try:
-        return diagnosed.write_extended(job, diagnosis, output, force)
+        return diagnosed.write_extended(job, diagnosis, out, force)
     except InputError as error:
-        if output is not None:
+        if out is not None:
             raise
         echo(f"warning: no extended job was written: {error}", err=True)
         return None

@@ -72,10 +72,8 @@ def _carry_out(kind: str, path: Path, console: Console, wanted: dict[str, Any]) 
     from metrocli.project import runner
     from metrocli.project.job import JobOptions, load
 
-    if wanted["output"] is not None and wanted["output"].suffix != ".h5":
-        raise UsageError(f"--output {wanted['output']}: the name of a result file ends in .h5")
-    accept = wanted["accept_doubtful"]
-    job = load(path, JobOptions(wanted["overrides"], wanted["output"], kind, accept_doubtful=accept))
+    output, accept = options.result_file(wanted["output"]), wanted["accept_doubtful"]
+    job = load(path, JobOptions(wanted["overrides"], output, kind, accept_doubtful=accept))
     question = next((question.name for question in KINDS[kind].questions if wanted[question.name]), None)
     if wanted["dry_run"]:
         if not wanted["force"]:

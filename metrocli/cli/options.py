@@ -8,6 +8,7 @@ from typing import Any
 
 import click
 
+from metrocli.errors import UsageError
 from metrocli.tasks.kind import Question
 
 Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
@@ -46,6 +47,13 @@ SCHEDULER = click.option(
     metavar="ADDRESS",
     help="Compute on a Dask cluster: tcp://HOST:PORT or the path of its scheduler file.",
 )
+
+
+def result_file(path: Path | None) -> Path | None:
+    """Return the value of --output; raises UsageError if it is not the name of a result file."""
+    if path is not None and path.suffix != ".h5":
+        raise UsageError(f"--output {path}: the name of a result file ends in .h5")
+    return path
 
 
 def asking(question: Question) -> Decorator:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import field
 from itertools import pairwise
 from pathlib import Path
@@ -29,11 +29,11 @@ def _untold(done: int, of: int | None) -> None:
 
 @dataclass(frozen=True)
 class DecodedImages:
-    """Grey images of equal size in files, decoded one at a time."""
+    """Grey images in files, decoded one at a time."""
 
     paths: tuple[Path, ...]
-    size: Size
-    """Width and height in pixels."""
+    sizes: tuple[Size, ...]
+    """Width and height of each in pixels."""
     lengths: tuple[int, ...]
     """Bytes of each file."""
     digests: tuple[str, ...]
@@ -45,6 +45,19 @@ class DecodedImages:
     def names(self) -> tuple[str, ...]:
         """File names without folder, in sorted order."""
         return tuple(path.name for path in self.paths)
+
+    @property
+    def size(self) -> Size:
+        """Width and height of all images; raises InputError that names those of another size than most."""
+        return self.size_of(self.names)
+
+    def size_of(self, names: Collection[str]) -> Size:
+        """Return width and height of the images with these names; raises as `size`."""
+        pairs = zip(self.paths, self.sizes, strict=True)
+        sizes = {path: size for path, size in pairs if path.name in names}
+        if faults := _different_sizes(sizes):
+            raise InputError(faults)
+        return next(iter(sizes.values()))
 
     def __len__(self) -> int:
         return len(self.paths)
@@ -58,8 +71,8 @@ class DecodedImages:
 def read_images(paths: Sequence[Path]) -> DecodedImages:
     """Return the images sorted by name, and check all files without decoding them.
 
-    Raises InputError with all faults of all files: not readable, unknown format, incomplete, too large, different
-    sizes, equal names, or the same content.
+    Raises InputError with all faults of all files: not readable, unknown format, incomplete, too large, equal names,
+    or the same content.
     """
     files = tuple(sorted(paths, key=lambda path: path.name))
     if not files:
@@ -79,10 +92,10 @@ def read_images(paths: Sequence[Path]) -> DecodedImages:
             faults.append(_fault(path, str(fault)))
         except InputError as error:
             faults += error.faults
-    faults += [*_same_names(files), *_different_sizes(sizes)]
+    faults += _same_names(files)
     if faults:
         raise InputError(faults)
-    return DecodedImages(files, sizes[files[0]], tuple(lengths.values()), tuple(digests.values()))
+    return DecodedImages(files, tuple(sizes.values()), tuple(lengths.values()), tuple(digests.values()))
 
 
 def read(path: Path, digest: str = "") -> Picture:
@@ -160,7 +173,7 @@ def _different_sizes(sizes: dict[Path, Size]) -> list[Fault]:
         _fault(
             path,
             f"this image is {size[0]} x {size[1]} pixels, but {of_most} is {usual[0]} x {usual[1]}, as {count} of "
-            f"{len(sizes)} are; the images must have one size",
+            f"{len(sizes)} are; the images of a camera have one size",
         )
         for path, size in sizes.items()
         if size != usual

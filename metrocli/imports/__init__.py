@@ -65,6 +65,12 @@ FORMATS: dict[str, ImportFormat] = {
         "spatial networks of GNU Gama (gama-local)",
         "GNU Gama manual, XML input data format for gama-local",
     ),
+    "metashape-markers": ImportFormat(
+        "metrocli.imports.metashape_markers",
+        "image points of the markers of Metashape, exported as XML; with --unit also their places",
+        "files in public repositories, such as kayze/AfterEffects-to-Metashape",
+        "unit",
+    ),
     "sa-ascii": ImportFormat(
         "metrocli.imports.sa_ascii",
         "points of SpatialAnalyzer (--unit)",

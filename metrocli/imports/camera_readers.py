@@ -1,7 +1,8 @@
 """Readers of cameras: what the files of each program have, as the values of a lens model.
 
 Sources: OpenCV tutorial camera_calibration; ROS REP 104 and sensor_msgs/CameraInfo; COLMAP, Camera Models; Kalibr, YAML
-formats; mrcal, Camera model representation; Metashape manual, Camera models; MATLAB, cameraIntrinsics.
+formats; mrcal, Camera model representation; Metashape manual, Camera models; MATLAB, cameraIntrinsics; Bouguet, Camera
+Calibration Toolbox for MATLAB.
 """
 
 from __future__ import annotations
@@ -98,6 +99,37 @@ def _of_opencv(lines: TextLines, text: str) -> ReadCamera:
     return _read(lines, program, form, [str(name) for name in size], {**values, **_named(form, shift)})
 
 
+def _of_storage(lines: TextLines, text: str) -> ReadCamera:
+    """Return the camera of OpenCV's FileStorage as XML, which has the keys of its YAML."""
+    try:
+        root = ElementTree.fromstring(text)
+    except ElementTree.ParseError as error:
+        raise InputError([lines.fault(f"this is not XML: {error}", error.position[0])]) from error
+    held = ((entry.tag, entry.find("data"), entry.text) for entry in root)
+    rows = [
+        f"{tag}: {(alone or '').strip()}"
+        if data is None
+        else f"{tag}:\n  data: [{', '.join((data.text or '').split())}]"
+        for tag, data, alone in held
+    ]
+    return _of_opencv(lines, "\n".join(rows))
+
+
+def _of_toolbox(lines: TextLines, text: str) -> ReadCamera:
+    """Return the camera of Calib_Results.m of the Camera Calibration Toolbox, whose first pixel is (0, 0)."""
+    lists = {name: _numbers(rf"^\s*{name}\s*=\s*\[([^\]]*)\]", text.replace(";", " ")) for name in ("fc", "cc", "kc")}
+    size = [_after(rf"^\s*{name}\s*=\s*([0-9]+)", text, re.MULTILINE) for name in ("nx", "ny")]
+    fields = {"fc": len(lists["fc"]) == 2, "cc": len(lists["cc"]) == 2, "kc": lists["kc"], "nx": size[0], "ny": size[1]}
+    _must_have(lines, "the Camera Calibration Toolbox for MATLAB", fields)
+    skew = _after(r"^\s*alpha_c\s*=\s*([-+0-9.eE]+)", text, re.MULTILINE) or "0"
+    form = _form(lines, "opencv", "opencv", len(lists["kc"]))
+    values = dict(zip(("fx", "fy", "cx", "cy"), [*lists["fc"], *lists["cc"]], strict=True))
+    if is_number(skew) and float(skew):
+        hint = "calibrate without it: est_alpha = 0"
+        raise InputError([lines.fault("the camera has a skew (alpha_c), which OpenCV does not use", None, hint)])
+    return _read(lines, "opencv", form, [str(side) for side in size], {**values, **_named(form, lists["kc"])})
+
+
 def _of_ini(lines: TextLines, text: str) -> ReadCamera:
     """Return the camera of the text file of ROS's calibrator (oST), whose values stand below their names."""
     held = {name: _after(rf"^{name}\s*\n((?:\s*[-+.0-9eE]+)+)", text, re.MULTILINE) for name in _OF_INI}
@@ -144,16 +176,17 @@ def _of_colmap(lines: TextLines, text: str) -> ReadCamera:
 
 
 def _of_kalibr(lines: TextLines, text: str) -> ReadCamera:
-    """Return a camera of a camchain; raises InputError unless it has the model pinhole."""
+    """Return a camera of a camchain, or of a sensor.yaml of EuRoC; raises InputError unless it is a pinhole."""
     numbers = {name: _numbers(rf"{name}\s*:\s*{_LIST}", text) for name in ("intrinsics", "resolution")}
     model = _after(r"camera_model\s*:\s*['\"]?(\w+)", text)
-    shape = _after(r"distortion_model\s*:\s*['\"]?(\w+)", text)
+    shape = _after(r"distortion_model\s*:\s*['\"]?([\w-]+)", text)
+    shape = "radtan" if shape == "radial-tangential" else shape
     fields = {"camera_model": model, "intrinsics": numbers["intrinsics"], "distortion_model": shape}
     _must_have(lines, "Kalibr", {**fields, "resolution": len(numbers["resolution"]) == 2})
     if model != "pinhole" or len(numbers["intrinsics"]) != 4:
         hint = "expected pinhole with radtan, equidistant or none"
         raise InputError([lines.fault(f"the model {model} of kalibr is not known here", None, hint)])
-    shift = _numbers(rf"distortion_coeffs\s*:\s*{_LIST}", text)
+    shift = _numbers(rf"distortion_coeff(?:icient)?s\s*:\s*{_LIST}", text)
     form = _form(lines, "kalibr", str(shape), len(shift))
     intrinsics = dict(zip(("fx", "fy", "cx", "cy"), numbers["intrinsics"], strict=True))
     return _read(lines, "kalibr", form, numbers["resolution"], {**intrinsics, **_named(form, shift)})
@@ -244,10 +277,12 @@ def _numbers(pattern: str, text: str) -> list[str]:
 
 
 READERS: Sequence[tuple[str, str, Callable[[TextLines, str], ReadCamera]]] = (
-    ("kalibr", r"^cam[0-9]+\s*:|^\s*distortion_coeffs\s*:", _of_kalibr),
+    ("kalibr", r"^cam[0-9]+\s*:|^\s*distortion_coeffs\s*:|^intrinsics\s*:\s*\[", _of_kalibr),
     ("mrcal", r"'lensmodel'|'imagersize'", _of_mrcal),
     ("metashape", r"<calibration\b|<projection>", _of_metashape),
     ("matlab", r"cameraIntrinsics\(", _of_matlab),
+    ("matlab", r"^\s*fc\s*=\s*\[", _of_toolbox),
+    ("opencv", r"<opencv_storage>", _of_storage),
     ("ros", r"^camera matrix\s*$", _of_ini),
     ("opencv", r"^projection_parameters\s*:|^Camera1?\.fx\s*:", _of_slam),
     ("opencv", r"(?i:camera_?matrix)\s*:|distortion_coefficients\s*:|image_width\s*:|^[Kk]\s*:\s*(?:\[|$)", _of_opencv),

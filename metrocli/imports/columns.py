@@ -9,7 +9,6 @@ from pathlib import Path
 
 from metrocli import units
 from metrocli.errors import Fault, InputError, UsageError
-from metrocli.formats.csv_header import later_header
 from metrocli.formats.csv_text import shortened
 from metrocli.frozen import dataclass
 from metrocli.imports import Imported, ImportOptions
@@ -36,7 +35,7 @@ from metrocli.words import suggestion
 _THOUSANDS = {"point": ".", "comma": ",", "space": " \u00a0\u202f", "apostrophe": "'\u2019"}
 """Signs that group digits, each with its spellings"""
 ENCODINGS = ("utf-8", "latin-1", "cp1252", "utf-16")
-_SEPARATORS = {"comma": ",", "semicolon": ";", "tab": "\t", "space": " "}
+SEPARATORS = {"comma": ",", "semicolon": ";", "tab": "\t", "space": " "}
 
 
 @dataclass(frozen=True)
@@ -64,7 +63,7 @@ class Mapping:
         MapOf(At(Either(Text(), Section(ColumnSource)))), "quantities of the input, each with its column"
     )
     file: str | None = setting(Text(), "name of the CSV (default: that of the input)", default=None)
-    separator: str | None = setting(Choice(*_SEPARATORS), "between cells (default: as the first row has)", default=None)
+    separator: str | None = setting(Choice(*SEPARATORS), "between cells (default: as the first row has)", default=None)
     decimal: str = setting(Choice("point", "comma"), "decimal sign of the numbers", default="point")
     thousands: str | None = setting(
         Choice(*_THOUSANDS), "what groups the digits of large numbers (default: nothing)", default=None
@@ -156,11 +155,11 @@ def _rows(lines: TextLines, mapping: Mapping) -> tuple[list[tuple[int, Sequence[
     kept = list(lines.without(mapping.comment, start))
     if not kept:
         raise InputError([lines.fault("the file has no rows")])
-    separator = _SEPARATORS.get(mapping.separator or "") or _separator(kept[0][1], mapping.decimal == "comma")
-    rows = [(n, _cells(line, separator)) for n, line in kept]
+    separator = SEPARATORS.get(mapping.separator or "") or _separator(kept[0][1], mapping.decimal == "comma")
+    rows = [(n, cells_of(line, separator)) for n, line in kept]
     width, other = len(rows[0][1]), _separator(kept[0][1], False)
     if width == 1 and mapping.separator and kept[0][1].count(other):
-        name = next(name for name, sign in _SEPARATORS.items() if sign == other)
+        name = next(name for name, sign in SEPARATORS.items() if sign == other)
         fault = lines.fault(f"no {mapping.separator} is in this line", kept[0][0], f"write `separator: {name}`")
         raise InputError([fault])
     wrong = [lines.fault(f"{len(cells)} cells instead of {width}", n) for n, cells in rows if len(cells) != width]
@@ -181,7 +180,7 @@ def _separator(line: str, comma: bool) -> str:
     return max(others, key=line.count)
 
 
-def _cells(line: str, separator: str) -> Sequence[str]:
+def cells_of(line: str, separator: str) -> Sequence[str]:
     """Return the cells of a line; a quotation mark that is left open ends with its line."""
     if separator == " ":
         return line.split()
@@ -243,36 +242,6 @@ def _ungrouped(text: str, thousands: str) -> str:
     signs = _THOUSANDS[thousands]
     whole = re.fullmatch(rf"[-+]?[0-9]{{1,3}}([{re.escape(signs)}][0-9]{{3}})+([.,][0-9]*)?", text)
     return re.sub(f"[{re.escape(signs)}]", "", text) if whole else text
-
-
-def proposed(lines: TextLines) -> str:
-    """Return a mapping file that names what a table looks like, for a person to complete."""
-    rows = list(lines.without("#"))
-    if not rows:
-        raise InputError([lines.fault("the file has no rows")])
-    header = later_header(rows) or rows[0][0]
-    names_line = next(line for number, line in rows if number == header)
-    separator = max(",;\t", key=names_line.count)
-    sample = next((line for number, line in rows if number > header), "")
-    comma = separator != "," and re.search(r"[0-9],[0-9]", sample) is not None
-    word = next(name for name, sign in _SEPARATORS.items() if sign == separator)
-    names, cells = _cells(names_line, separator), _cells(sample, separator)
-    pairs = enumerate(zip(names, cells, strict=False), 1)
-    listed = [f"  QUANTITY{i}: {{column: {i}, unit: mm}}  # {name}, e.g. {cell}" for i, (name, cell) in pairs]
-    return "\n".join(
-        [
-            f"# mapping for {lines.file}: name job and input; name each QUANTITY, delete those that no job reads",
-            "# a quantity without unit, such as point, is `point: {column: 1}`",
-            f"# then: metrocli import {lines.file} --from columns --map map.yaml",
-            "job: multilaterate",
-            "input: lengths",
-            f"separator: {word}",
-            f"decimal: {'comma' if comma else 'point'}",
-            f"header: {header}",
-            "columns:",
-            *listed,
-        ]
-    )
 
 
 def _read(

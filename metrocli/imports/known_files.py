@@ -7,7 +7,11 @@ import re
 from metrocli.imports.cameras import program_of
 from metrocli.imports.lines import TextLines
 
-_SIGNS = {"gama-xml": r"<gama-(local|xml)\b", "vnl": r"^#\s*filename\s+x\s+y\b"}
+_SIGNS = {
+    "gama-xml": r"<gama-(local|xml)\b",
+    "metashape-markers": r"<marker\s+marker_id=",
+    "vnl": r"^#\s*filename\s+x\s+y\b",
+}
 
 
 def format_of(lines: TextLines) -> str | None:

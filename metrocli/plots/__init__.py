@@ -65,8 +65,9 @@ FIGURES: dict[str, FigureEntry] = {
     "volumetric-error": FigureEntry("volume_map", "error of the machine over the volume", "error"),
     "uncertainty-map": FigureEntry("volume_map", "standard uncertainty over the volume", "uncertainty"),
     "overstock": FigureEntry("overstock", "overstock of the surfaces of a raw part"),
-    "budget": FigureEntry("budget", "uncertainty budget as a Pareto chart"),
-    "conformity": FigureEntry("conformity", "values against tolerance and guard band"),
+    "budget": FigureEntry("budgets.contributors", "uncertainty budget as a Pareto chart"),
+    "trials": FigureEntry("budgets.trials", "Monte Carlo trials with the coverage intervals of both methods"),
+    "conformity": FigureEntry("budgets.conformity", "values against tolerance and guard band"),
     "correlation": FigureEntry("correlation", "correlation matrix of the estimates"),
     "lineage": FigureEntry("beside.lineage", "files and jobs that the result was made from", beside=True),
 }

@@ -220,14 +220,14 @@ def _refuse_foreign(path: Path) -> None:
     try:
         first, _, rest = path.read_text(encoding="utf-8", errors="replace").partition("\n")
     except OSError as error:
-        fault = Fault(f"cannot be read: {error.strerror}", str(path), hint="give another --output")
+        fault = Fault(f"cannot be read: {error.strerror}", str(path), hint="give another --out")
         raise InputError([fault]) from error
     if not first.rstrip().endswith((_NAMED, _SHARED, _RIGHT)):
-        raise InputError([Fault("the file exists and is not an extended job", str(path), hint="give another --output")])
+        raise InputError([Fault("the file exists and is not an extended job", str(path), hint="give another --out")])
     digest, _, body = rest.partition("\n")
     if digest != f"{_DIGEST}{_digest(body)[:16]}":
         message = "the extended job is not as diagnose wrote it; it was edited and is kept"
-        raise InputError([Fault(message, str(path), hint="give another --output, or replace it with --force")])
+        raise InputError([Fault(message, str(path), hint="give another --out, or replace it with --force")])
 
 
 def _free_name(diagnosis: Diagnosis) -> str:

@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 
 from metrocli import units
-from metrocli.plots import budget, overstock, volume_map
+from metrocli.plots import overstock, volume_map
 from metrocli.plots.beside import chosen_law, law_in_words, sizes_in_words
+from metrocli.plots.budgets import contributors
 from metrocli.plots.magnify import length_in_words, micro
 from metrocli.plots.noise_bands import largest_of
 from metrocli.plots.places import places_of
@@ -44,7 +45,8 @@ def row_of(result: Result, estimate: Estimate, text: str = "") -> tuple[str, str
     elif unit and not estimate.dimension:
         size, unit = compound_unit(estimate, text)
     value, uncertainty = units.rounded(estimate.value / size, spread / size)
-    return estimate.name, value, "" if value == uncertainty == units.NOT_DETERMINED else uncertainty, micro(unit)
+    stated = value != units.NOT_DETERMINED and spread != 0
+    return estimate.name, value, uncertainty if stated else "", micro(unit)
 
 
 GOOD, WARNED, BAD = "good", "warned", "bad"
@@ -102,13 +104,21 @@ def worst(result: Result) -> Iterator[str]:
     if sets:
         sizes = [np.nan_to_num(np.abs(residuals.w)) for residuals in sets]
         which = max(range(len(sets)), key=lambda k: sizes[k].max())
-        w, bound = float(sizes[which].max()), largest_of(sum(int(residuals.checked.sum()) for residuals in sets))
+        w = float(sizes[which].max())
+        critical = result.statistics.get("critical_w")
+        count = sum(int(residuals.checked.sum()) for residuals in sets)
+        bound = critical if isinstance(critical, float) else largest_of(count)
         alike = [sets[which].name(int(row)) for row in np.flatnonzero(sizes[which] >= (1 - _EQUAL) * w)]
         several, each = ("s", " each, so none can be singled out") if len(alike) > 1 else ("", "")
-        w /= _noise_of_others(result, w)
+        w = _largest_suspect(result) or w / _noise_of_others(result, w)
         chance = "more than noise reaches in 5 % of measurements" if w > bound else "as noise may be"
         size = f"|w| = {w:.2f} standard deviations{each}"
         yield f"Reading{several} {listed(alike, 4)}: {size}; {chance} (bound {bound:.2f})."
+    elif _largest_suspect(result):
+        table = result.tables["suspects"]
+        k = int(np.argmax(table.numbers("w")))
+        named = "/".join(str(column[k]) for column in table.columns.values() if column.dtype.kind in "US")
+        yield f"Worst: {named}, |w| = {_largest_suspect(result):.2f} standard deviations, beyond the outlier bound."
     for place in places_of(result):
         if place.vectors is not None:
             sizes_of = np.linalg.norm(place.vectors, axis=1)
@@ -128,6 +138,12 @@ def worst(result: Result) -> Iterator[str]:
         yield f"Least overstock: ({size} ± {spread}) mm (k = 2) {where}; the minimum is {stock.minimum:g} mm."
 
 
+def _largest_suspect(result: Result) -> float:
+    """Return the largest test of the readings that the terminal lists beyond the outlier bound, 0 without any."""
+    suspects = result.tables.get("suspects")
+    return float(suspects.numbers("w").max()) if suspects is not None and len(suspects) and "w" in suspects else 0.0
+
+
 def _noise_of_others(result: Result, w: float) -> float:
     """Return the noise of all readings but the worst, relative to the declared one, at least 1 where it is declared.
 
@@ -136,6 +152,8 @@ def _noise_of_others(result: Result, w: float) -> float:
     chi2, dof = (result.statistics.get(name) for name in ("chi2", "dof"))
     if not isinstance(chi2, int | float) or not isinstance(dof, int | float) or dof <= 1:
         return 1.0
+    if "noise" in result.statistics:  # w is relative to the estimated noise
+        chi2 = dof
     others = float(np.sqrt(max(chi2 - w**2, 0.0) / (dof - 1)))
     return others or 1.0 if result.statistics.get("noise_estimated") else max(others, 1.0)
 
@@ -147,7 +165,7 @@ def _largest_shares(result: Result) -> Iterator[str]:
         x, y, z = volume.largest_at
         size = length_in_words(K * volume.largest)
         yield f"Least known of the volume: ({x:g}, {y:g}, {z:g}) mm, {size} in space (k = 2)."
-    for chart in (budget.data(result, "") or ())[:_MEASURANDS]:
+    for chart in (contributors.data(result, "") or ())[:_MEASURANDS]:
         yield f"Largest contributor to {chart.measurand}: {chart.names[0]}, {chart.shares[0]:.0f} % of the variance."
 
 

@@ -121,7 +121,9 @@ def compound_unit(estimate: Estimate, text: str) -> tuple[float, str]:
     known = {units.internal_unit(name) for name in units.DIMENSIONS}
     if estimate.unit in known or "/" in estimate.unit or units.is_inch(estimate.unit):
         return 1.0, estimate.unit
-    from metrocli.expressions.dimensions import written
+    from metrocli.expressions.dimensions import compound, written
 
+    if compound(estimate.unit).factor != 1:  # no base unit: the job chose it
+        return 1.0, estimate.unit
     unit = written(text, estimate.unit, estimate.name.rpartition(".")[2])
     return (1.0, estimate.unit) if unit is None else (unit.factor, unit.text)

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 
 from metrocli.arrays import Picture
+from metrocli.targets import blobs
 from metrocli.targets.aprilgrid import tags_in
 from metrocli.targets.charuco import markers_in
 from metrocli.targets.chessboard import shown_size
@@ -30,18 +31,26 @@ def likely_board(pattern: Pattern, pictures: Iterable[Picture]) -> str:
     if sum(len(tags_in(picture)[0]) >= _TAGS for picture in reduced) > _SHARE * len(reduced):
         own = pattern.type == "aprilgrid"  # its search has named what does not fit
         return "" if own else "AprilTags with a border of two cells: is it type: aprilgrid?"
-    if pattern.type in ("circles", "asymmetric-circles") and (size := _likely_circles(pattern, reduced)):
-        return _in_words(size, "")
+    if pattern.type in ("circles", "asymmetric-circles"):
+        if size := _likely_circles(pattern, reduced):
+            return _in_words(size, "")
+        if circles := _shown_circles(pattern, reduced):
+            return f"{circles} circles, and the pattern of the job has {pattern.shape[0] * pattern.shape[1]}"
+    if pattern.type == "charuco" and _marked(reduced):
+        return ""  # its search has named other layouts and dictionaries
     sizes = [size for picture in reduced if (size := shown_size(picture)) is not None]
     size = max(sizes, key=sizes.count, default=None)
     if size is not None and sizes.count(size) > _SHARE * len(reduced):
         return _in_words(size, "" if pattern.type == "chessboard" else "type: chessboard, ")
-    if pattern.type == "charuco":
-        return ""  # its search has named other layouts and dictionaries
-    names = [name for name, count in map(markers_in, reduced) if count >= _MARKERS]
+    name = "" if pattern.type == "charuco" else _marked(reduced)
+    return f"markers of {name}: is it type: charuco, dictionary: {name}?" if name else ""
+
+
+def _marked(pictures: Sequence[Picture]) -> str:
+    """Return the dictionary of the markers that most pictures show; empty if they show none."""
+    names = [name for name, count in map(markers_in, pictures) if count >= _MARKERS]
     name = max(names, key=names.count, default="")
-    likely = names.count(name) > _SHARE * len(reduced)
-    return f"markers of {name}: is it type: charuco, dictionary: {name}?" if likely else ""
+    return name if names.count(name) > _SHARE * len(pictures) else ""
 
 
 def _in_words(size: tuple[int, int], kind: str) -> str:
@@ -49,12 +58,16 @@ def _in_words(size: tuple[int, int], kind: str) -> str:
 
 
 def _likely_circles(pattern: Pattern, pictures: Sequence[Picture]) -> tuple[int, int] | None:
-    """Return columns and rows of the grid that most pictures show, at most one off in each; None if none fits.
+    """Return columns and rows of the grid that most pictures show; None if none fits.
+
+    Sizes are tried that are at most one off in each, and those with columns and rows exchanged.
 
     Of sizes that equally many pictures show, the largest counts: a grid contains all smaller ones.
     """
     rows, columns = pattern.shape
-    sizes = [(columns + c, rows + r) for c, r in product((-1, 0, 1), repeat=2) if (c, r) != (0, 0)]
+    both = ((columns, rows), (rows, columns))
+    near = {(n + c, m + r) for n, m in both for c, r in product((-1, 0, 1), repeat=2)}
+    sizes = sorted(near - {(columns, rows)})
     counts: dict[tuple[int, int], int] = {}
     for size in sorted((shape for shape in sizes if min(shape) >= 2), key=lambda shape: -shape[0] * shape[1]):
         other = replace(pattern, columns=size[0], rows=size[1])
@@ -63,6 +76,14 @@ def _likely_circles(pattern: Pattern, pictures: Sequence[Picture]) -> tuple[int,
             break
     best = max(counts, key=lambda size: (counts[size], size[0] * size[1]))
     return best if pictures and counts[best] > _SHARE * len(pictures) else None
+
+
+def _shown_circles(pattern: Pattern, pictures: Sequence[Picture]) -> int:
+    """Return how many circles a picture shows, the middle one of all; 0 if they are few."""
+    polarities = ("dark", "bright") if pattern.polarity == "either" else (pattern.polarity,)
+    counts = sorted(max(len(blobs.ellipses(picture, sign)) for sign in polarities) for picture in pictures)
+    middle = counts[len(counts) // 2] if counts else 0
+    return middle if middle >= _SHARE * pattern.shape[0] * pattern.shape[1] else 0
 
 
 def _reduced(picture: Picture) -> Picture:

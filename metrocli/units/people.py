@@ -48,9 +48,9 @@ def _significant(value: float, std: float) -> int:
 
 
 def with_std(value: float, std: float) -> str:
-    """Return a value and its standard uncertainty as "12.3457 ± 0.0012", or "not determined"."""
+    """Return a value and its standard uncertainty as "12.3457 ± 0.0012", or "not determined"; without ± if it is 0."""
     number, spread = rounded(value, std)
-    return number if number == NOT_DETERMINED else f"{number} ± {spread}"
+    return number if number == NOT_DETERMINED or std == 0 else f"{number} ± {spread}"
 
 
 def format_quantity(value: float, unit: str, std: float | None = None) -> str:

@@ -133,11 +133,21 @@ def test_the_extended_job_runs_unmodified_and_is_clean(folder: Path, metrocli: M
 def test_the_extended_job_can_stand_elsewhere(folder: Path, metrocli: Metrocli) -> None:
     job = write(folder, measured("tracer-scale"))
     (folder / "elsewhere").mkdir()
-    data = json.loads(metrocli("diagnose", job, "--json", "--output", "elsewhere/new.yaml").out)
+    data = json.loads(metrocli("diagnose", job, "--json", "--out", "elsewhere/new.yaml").out)
     assert data["extended_job"] == "elsewhere/new.yaml"
     assert not (folder / "job.extended.yaml").exists()
     assert metrocli("multilaterate", "elsewhere/new.yaml").code == 0
     assert (folder / "results" / "points.extended.h5").exists()
+
+
+def test_output_is_the_result_as_in_every_command(folder: Path, metrocli: Metrocli) -> None:
+    job = write(folder, measured("tracer-scale"))
+    assert metrocli("diagnose", job, "--quick", "--output", "elsewhere.h5").code == 0
+    assert (folder / "elsewhere.diagnosis.json").is_file()
+    assert "output: elsewhere.extended.h5" in (folder / "job.extended.yaml").read_text()
+    for name, words in (("new.yaml", "--out names the extended job"), ("new.csv", "ends in .h5")):
+        ran = metrocli("diagnose", job, "--output", name)
+        assert (ran.code, words in ran.err) == (2, True)
 
 
 def test_a_folder_that_cannot_be_written_to_costs_the_job_only(folder: Path, metrocli: Metrocli) -> None:
@@ -146,7 +156,7 @@ def test_a_folder_that_cannot_be_written_to_costs_the_job_only(folder: Path, met
     ran = metrocli("diagnose", job, "--json")
     assert (ran.code, json.loads(ran.out)["extended_job"]) == (0, None)
     assert "no extended job" in ran.err
-    assert metrocli("diagnose", job, "--output", "job.extended.yaml").code == 3
+    assert metrocli("diagnose", job, "--out", "job.extended.yaml").code == 3
 
 
 def test_an_extended_job_that_was_edited_is_kept_unless_forced(folder: Path, metrocli: Metrocli) -> None:
@@ -158,7 +168,7 @@ def test_an_extended_job_that_was_edited_is_kept_unless_forced(folder: Path, met
     ran = metrocli("diagnose", job, "--json")
     assert (ran.code, json.loads(ran.out)["extended_job"], extended.read_text()) == (0, None, edited)
     assert "job.extended.yaml: error: the extended job is not as diagnose wrote it" in ran.err
-    assert "give another --output, or replace it with --force" in ran.err
+    assert "give another --out, or replace it with --force" in ran.err
     assert json.loads(metrocli("diagnose", job, "--json", "--force").out)["extended_job"] == "job.extended.yaml"
     assert extended.read_text() == written
 
@@ -304,7 +314,7 @@ def test_a_report_says_how_far_the_shape_of_an_effect_was_checked() -> None:
 def test_an_extended_job_takes_the_place_of_no_other_file(folder: Path, metrocli: Metrocli) -> None:
     job = write(folder, measured("dead-path-drift"))
     before = (folder / "lengths.csv").read_bytes()
-    ran = metrocli("diagnose", job, "--output", "lengths.csv")
+    ran = metrocli("diagnose", job, "--out", "lengths.csv")
     assert (ran.code, "is not an extended job" in ran.err) == (3, True)
     assert (folder / "lengths.csv").read_bytes() == before
 

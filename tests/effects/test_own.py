@@ -60,6 +60,9 @@ FAULTY = {
         one(adds="t", more="parameters: {t: {unit: um, plausible: 1 um}}"), 5, 21, "'t' is a variable there", "",
     ),
     "plausible": (one(more="parameters: {a: {unit: um, plausible: 10 s}}"), 5, 43, "s is a time", "a length"),
+    "absurdly small": (one(more="parameters: {a: {unit: um, plausible: 1e-30 um}}"), 5, 43, "size of 1e-30 um", "believed"),
+    "absurdly large": (one(more="parameters: {a: {unit: um, plausible: 1e9 m}}"), 5, 43, "size of 1e9 m", "believed"),
+    "of no size": (one(more="parameters: {a: {unit: um, plausible: 0 um}}"), 5, 43, "above zero", "believed"),
     "long": (one(adds="a" + "+a" * 500_000), 4, None, "1000001 characters", ""),
     "executed": (one(adds="__import__('os')"), 4, None, "cannot stand in a model", ""),
     "scan": (

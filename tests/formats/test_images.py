@@ -41,7 +41,7 @@ def turned(jpeg: bytes, orientation: int) -> bytes:
 
 def message(*paths: Path) -> str:
     with pytest.raises(InputError) as caught:
-        list(read_images(paths))
+        list(read_images(paths)) and read_images(paths).size
     return str(caught.value)
 
 

@@ -139,6 +139,64 @@ def test_other_forms_are_read(text: str, tmp_path: Path, metrocli: Metrocli) -> 
     assert lens(tmp_path / "out" / "camera.yaml") == LENS
 
 
+SENSOR = """sensor_type: camera
+T_BS:
+  cols: 4
+  rows: 4
+  data: [1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0]
+rate_hz: 20
+resolution: [640, 480]
+camera_model: pinhole
+intrinsics: [500.0, 501.0, 321.0, 242.0] #fu, fv, cu, cv
+distortion_model: radial-tangential
+distortion_coefficients: [-0.1, 0.02, 0.001, -0.002]
+"""
+STORAGE = """<?xml version="1.0"?>
+<opencv_storage>
+<calibration_Time>"Thu"</calibration_Time>
+<image_Width>640</image_Width>
+<image_Height>480</image_Height>
+<Camera_Matrix type_id="opencv-matrix">
+  <rows>3</rows>
+  <cols>3</cols>
+  <dt>d</dt>
+  <data>500. 0. 321. 0.
+    501. 242. 0. 0. 1.</data></Camera_Matrix>
+<Distortion_Coefficients type_id="opencv-matrix">
+  <rows>5</rows>
+  <cols>1</cols>
+  <dt>d</dt>
+  <data>-0.1 0.02 1e-3 -2e-3 0.</data></Distortion_Coefficients>
+</opencv_storage>
+"""
+TOOLBOX = """%-- Focal length:
+fc = [ 500.0 ; 501.0 ];
+cc = [ 321.0 ; 242.0 ];
+alpha_c = 0.000000000000000;
+kc = [ -0.1 ; 0.02 ; 0.001 ; -0.002 ; 0.000000000000000 ];
+fc_error = [ 0.3 ; 0.4 ];
+nx = 640;
+ny = 480;
+"""
+
+
+@pytest.mark.parametrize(
+    ("text", "program"), [(SENSOR, "kalibr"), (STORAGE, "opencv"), (TOOLBOX, "matlab")], ids=lambda part: part[:6]
+)
+def test_forms_of_other_programs_are_read_and_named(
+    text: str, program: str, tmp_path: Path, metrocli: Metrocli
+) -> None:
+    assert imported(tmp_path, text, program, metrocli).code == 0
+    assert lens(tmp_path / "out" / "camera.yaml") == LENS
+    (tmp_path / "other.txt").write_text(text)
+    assert f"--from {program}" in metrocli("import", tmp_path / "other.txt").err
+
+
+def test_a_skew_of_the_toolbox_is_refused(tmp_path: Path, metrocli: Metrocli) -> None:
+    ran = imported(tmp_path, TOOLBOX.replace("alpha_c = 0.0", "alpha_c = 0.1"), "matlab", metrocli)
+    assert ran.code == 3 and "a skew (alpha_c)" in ran.err
+
+
 @pytest.mark.parametrize(
     ("text", "program", "names"), [(CHAIN, "kalibr", ("cam0", "cam1")), (COLMAP, "colmap", ("camera-1", "camera-2"))]
 )

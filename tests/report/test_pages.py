@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 import xml.etree.ElementTree as ET
 from collections import Counter
@@ -452,3 +453,20 @@ def test_the_worst_reading_is_tested_as_on_the_terminal(tmp_path: Path, metrocli
     assert "P15 (w = 4.1: LT1 or LT5)" in ran.err
     assert metrocli("report", result, "--out", page).code == 0
     assert "Reading P15/LT1: |w| = 4.10 standard deviations" in page.read_text()
+
+
+def test_w_of_the_worst_reading_is_that_of_the_suspects() -> None:
+    """The tests of the terminal count the components of a reading, and Student's t of few others; the page takes them."""
+    result = results.network()
+    suspects = Table.of({"point [text]": ["P1"], "w": [5.62]})
+    assert "|w| = 5.62 standard" in page_of(replace(result, tables={**result.tables, "suspects": suspects})).text
+    alone = page_of(replace(result, tables={"suspects": suspects})).text
+    assert "Worst: P1, |w| = 5.62 standard deviations, beyond the outlier bound." in alone
+
+
+def test_w_is_relative_to_an_estimated_noise() -> None:
+    """sigma0 and chi2 of estimated noise have its unit, which w has not."""
+    result, w = lens(), float(np.nanmax(np.abs(lens().tables["residuals"].numbers("normalised"))))
+    estimated = {"noise_estimated": True, "noise": 0.1, "sigma0": 0.1, "dof": 700, "chi2": 7.0}
+    text = page_of(replace(result, statistics={**result.statistics, **estimated})).text
+    assert f"|w| = {w / math.sqrt((700 - w**2) / 699):.2f} standard" in text

@@ -13,6 +13,7 @@ from targets.camera_for_tests import Array, Camera, about_z, tilted
 from metrocli.targets.drawings import board
 from metrocli.targets.find import MODULES, find
 from metrocli.targets.lattice import order_fault, ordered
+from metrocli.targets.likely_board import likely_board
 from metrocli.targets.pattern import TYPES, Pattern, lattice, names, pattern_points
 from metrocli.targets.render import Look, PlacedDrawing, render
 
@@ -205,3 +206,16 @@ def test_real_circles_where_opencv_gives_a_wrong_order() -> None:
     assert views == 6
     assert rms < 0.49 and focal == pytest.approx(456.4, abs=3)
     assert by_view.max() < 2.5 * np.median(by_view)
+
+
+@pytest.mark.parametrize(
+    ("columns", "rows", "words"),
+    [
+        (11, 4, "4 x 11: is it columns: 4, rows: 11?"),
+        (5, 10, "4 x 11: is it columns: 4, rows: 11?"),
+        (4, 8, "44 circles, and the pattern of the job has 32"),
+    ],
+)
+def test_circles_counted_in_the_other_order_are_no_chessboard(columns: int, rows: int, words: str) -> None:
+    image, _ = seen(SHIFTED, np.random.default_rng(3), Look())
+    assert likely_board(Pattern("asymmetric-circles", columns, rows, 16.0, diameter=12.0), [image]) == words

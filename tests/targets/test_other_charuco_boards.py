@@ -10,6 +10,7 @@ import pytest
 
 from metrocli.targets.charuco import _board
 from metrocli.targets.find import find
+from metrocli.targets.likely_board import likely_board
 from metrocli.targets.pattern import Pattern
 
 BOARD = Pattern("charuco", columns=7, rows=5, pitch=35.0, marker_size=24.0, dictionary="4x4_50")
@@ -39,3 +40,11 @@ def test_what_to_write(changed: dict[str, object], write: str) -> None:
 def test_an_image_without_markers_is_not_a_matter_of_layout() -> None:
     found = find(BOARD, np.full((480, 640), 128, np.uint8))
     assert "0 markers of 4x4_50 are found" in found.reason and "legacy" not in found.reason
+
+
+def test_its_inner_corners_are_not_called_a_chessboard() -> None:
+    legacy = replace(BOARD, legacy=True)
+    assert not likely_board(legacy, [picture(BOARD)])
+    chess = np.kron(np.indices((7, 10)).sum(axis=0) % 2, np.full((60, 60), 255)).astype(np.uint8)
+    chess = cv2.copyMakeBorder(chess, 60, 60, 60, 60, cv2.BORDER_CONSTANT, value=255)
+    assert "type: chessboard" in likely_board(legacy, [np.asarray(chess, dtype=np.uint8)])

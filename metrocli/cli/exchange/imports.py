@@ -28,7 +28,7 @@ _FIRST = 10
     "--from",
     "form",
     type=click.Choice(list(FORMATS)),
-    help=f"Its format: {SUMMARIES}. Without it a mapping for the file is printed.",
+    help=f"Its format: {SUMMARIES}. With --map it is columns; without both a mapping for the file is printed.",
 )
 @click.option(
     "--out", type=click.Path(path_type=Path), metavar="DIR", help="Folder to write to (default: beside the file)."
@@ -67,9 +67,11 @@ def command(
     if mapping is not None:
         root = yaml_text.parse(yaml_text.read_text(mapping, str(mapping)), str(mapping), mapping.parent)
     lines = TextLines(str(file), _text(file, root).split("\n"))
+    if form is None and root is not None:
+        form = "columns"
     if form is None:
-        from metrocli.imports.columns import proposed
         from metrocli.imports.known_files import format_of
+        from metrocli.imports.proposed_mapping import proposed
 
         if known := format_of(lines):
             raise UsageError(f"{file} is a file for --from {known}: metrocli import {file} --from {known}")

@@ -16,6 +16,7 @@ from metrocli.effects.own.definition import (
     Definition,
     Given,
     Scan,
+    absurdity,
     components,
     constants_of_data,
     lacking,
@@ -169,13 +170,12 @@ class _Reader:
     def _parameter(self, name: str, given: Given) -> Parameter:
         unit = self._unit(f"parameters.{name}.unit", given.unit.value)
         size = given.plausible
+        parameter = of_unit(name, given.unit.value, unit, size.value)
         if unit is not None and size.unit.powers != unit.powers:
             self.faults.append(size.fault(f"{size.unit.text} is {described(size.unit)}", f"expected {described(unit)}"))
-        elif not size.value > 0:
-            self.faults.append(
-                size.fault("a plausible size is above zero", "write the largest size that can be believed")
-            )
-        return of_unit(name, given.unit.value, unit, size.value)
+        elif unit is not None and (absurd := absurdity(parameter, size, unit)):
+            self.faults.append(size.fault(absurd, "write the largest size that can be believed"))
+        return parameter
 
     def _scanned(self, name: str, scan: Scan) -> Parameter:
         low, high = scan.low, scan.high

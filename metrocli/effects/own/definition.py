@@ -28,6 +28,10 @@ _KEYS = ("name", "by", "std")
 _OTHER = "choose another name"
 
 
+_ABSURD = 1e15
+"""Multiple of its own unit, or part of it, from which a plausible size is a slip of the pen"""
+
+
 def not_free(
     given: tuple[Iterable[str], Iterable[str]], known: Container[str], where: Sequence[str]
 ) -> Iterator[tuple[str, str, str]]:
@@ -98,6 +102,16 @@ def of_unit(
             return Parameter(name, dimension.name, plausible, grid=grid, tried=tried)
     plain = Parameter(name, "", plausible, grid=grid, tried=tried, base=_base_unit(unit))
     return replace(plain, shown=text.strip(), given=unit.factor)
+
+
+def absurdity(parameter: Parameter, size: Measure, unit: Compound) -> str:
+    """Return what is absurd in a plausible size of a parameter with this unit, "" if nothing is."""
+    if not size.value > 0:
+        return "a plausible size is above zero"
+    believed = 1 / _ABSURD < size.value / unit.factor < _ABSURD and units.range_of(parameter.dimension).holds(
+        size.value
+    )
+    return "" if believed else f"no effect has a size of {size.node.text}"
 
 
 def _base_unit(unit: Compound) -> str:

@@ -102,9 +102,10 @@ class CameraModel:
     def must_fit(self, images: ImageSet) -> None:
         """Raise InputError if the images do not have the size with which their camera was calibrated."""
         exposed = self.exposed(images.names)
-        for camera in self.cameras:
-            if tuple(images.size) != tuple(camera.size) and camera.name not in exposed.unused:
-                (width, height), (w, h) = images.size, camera.size
+        for number, camera in enumerate(self.cameras):
+            own = [name for name, by in zip(images.names, exposed.camera, strict=True) if by == number]
+            if own and images.size_of(own) != tuple(camera.size):
+                (width, height), (w, h) = images.size_of(own), camera.size
                 of = f"the camera {camera.name}".rstrip()
                 raise InputError(f"the images are {width} x {height} px, {of} was calibrated with {w} x {h} px")
 

@@ -73,8 +73,8 @@ class PrincipalPoint:
     def _contradicted(self) -> str:
         at = np.where(np.isnan(self.held), self.found, self.held)
         return (
-            f"the principal point is held at {_point(at)} px, but the readings see it at {_point(self.found)} px "
-            f"(standard uncertainty {_point(self.std)} px): estimate cx and cy, or check image_size, "
+            f"the principal point is held at {_point(at)} px, but the readings see it at "
+            f"({', '.join(map(units.with_std, self.found, self.std))}) px: estimate cx and cy, or check image_size, "
             "whose middle they are by default"
         )
 

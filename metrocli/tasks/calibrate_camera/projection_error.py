@@ -7,7 +7,9 @@ import numpy as np
 from metrocli.adjust.solution import Solution
 from metrocli.arrays import Array, Index
 from metrocli.effects.links.lens_shape import SHAPE
+from metrocli.geometry import poses
 from metrocli.instruments import camera
+from metrocli.instruments.camera_start import plane_frame
 from metrocli.instruments.lenses.lens import equidistant, focal, ideal_point, image_point, unit_vector
 from metrocli.tasks.calibrate_camera.problem import CameraProblem
 from metrocli.tasks.calibrate_camera.shape.found import by_shape, link_of
@@ -15,6 +17,8 @@ from metrocli.tasks.shared.statistics import Statistics
 from metrocli.units.people import two_digits
 
 _STEP = 1e-6
+_ONE_ANGLE, _BADLY = np.radians(10.0), 1e-3
+"""Boards whose normals are nearer to each other have one angle; uncertainty of a focal length from which that counts"""
 _WARNED = 0.01
 """Uncertainty of a corner, as a share of the width of the image, from which it is a warning"""
 _SAMPLE = 400
@@ -137,4 +141,26 @@ def coverage_warnings(statistics: Statistics) -> list[str]:
     return [
         f"the readings do not reach the corners of the image, where the lens is uncertain by {two_digits(corner)} px "
         "(standard uncertainty): show the target there, or estimate fewer lens parameters"
+    ]
+
+
+def angle_warnings(problem: CameraProblem, solution: Solution) -> list[str]:
+    """Return that all images show a flat board at one angle, where the focal length is known badly."""
+    lens = solution.blocks[camera.LENS]
+    free = [at for at, name in enumerate(lens.columns) if name in ("f", "fx", "fy") and lens.free[0, at]]
+    frame, planar = plane_frame(problem.sighted.targets.points[np.unique(problem.sighted.target)])
+    if problem.rig != "board" or not free or not planar:
+        return []
+    normals = poses.rotation_of(solution.blocks[camera.VIEW].values) @ poses.rotation_of(frame)[2]
+    normals = normals * np.sign(normals @ normals[0])[:, None]
+    middle = normals.mean(axis=0) / np.linalg.norm(normals.mean(axis=0))
+    apart = float(np.arccos(np.clip(normals @ middle, -1, 1)).max())
+    std = np.sqrt(np.diag(solution.covariance_or_raise().of(camera.LENS)))[free]
+    if apart > _ONE_ANGLE or (std < _BADLY * lens.values[0, free]).all():
+        return []
+    share = 100 * float((std / lens.values[0, free]).max())
+    return [
+        f"all images show the board at one angle, within {two_digits(float(np.degrees(apart)))} degrees, and the focal "
+        f"length is known to {two_digits(share)} % only: tilt the board by 20 to 45 degrees about both axes of the "
+        "image"
     ]

@@ -33,7 +33,12 @@ from metrocli.tasks.calibrate_camera.lens_conventions import (
 )
 from metrocli.tasks.calibrate_camera.other_lenses import fisheye_instead
 from metrocli.tasks.calibrate_camera.problem import CameraProblem
-from metrocli.tasks.calibrate_camera.projection_error import corner_std, coverage_note, coverage_warnings
+from metrocli.tasks.calibrate_camera.projection_error import (
+    angle_warnings,
+    corner_std,
+    coverage_note,
+    coverage_warnings,
+)
 from metrocli.tasks.calibrate_camera.settings import CameraSettings, Settings
 from metrocli.tasks.calibrate_camera.shape.found import shape_arrays, shape_notes, shape_rms, shape_table
 from metrocli.tasks.calibrate_camera.turned_images import turned_images
@@ -239,6 +244,7 @@ def _warnings(solved: _Calibration, views: Table | None) -> list[str]:
     problem, adjusted = solved.problem, solved.adjusted
     lines = image_warnings(adjusted, problem.sighted, views)
     lines += correlation_warnings(solved.delivered.high_correlations())
+    lines += angle_warnings(problem, solved.solution)
     lines += turned_too_little(problem, solved.solution) + seen_from_behind(problem, solved.solution)
     lines += noise_warnings(solved.solution) if adjusted.noise is None else []
     lines += solved.centre.warnings() if solved.centre is not None else []

@@ -125,6 +125,8 @@ def check(job: Job[Settings, Files]) -> None:
         multi_camera.prepared(job, job.settings.cameras)
     elif job.files.images is None:
         prepared(job)
+    elif job.settings.cameras is not None:
+        multi_camera.sized(job.settings.cameras, job.files.images)
     else:
         _must_have_size(job.files.images, job.settings)
 

@@ -21,7 +21,10 @@ from metrocli.tasks.shared.features.joint import Joint
 from metrocli.tasks.shared.features.report import COVARIANCE, FEATURES, SHOWN, estimates_of, exchanging, fitted
 from metrocli.tasks.shared.features.wanted import RequestedFeature
 from metrocli.tasks.shared.lists import sigmas
+from metrocli.tasks.shared.rounding import rounding_of
 from metrocli.units import sized
+
+_NO_NOISE = "its points fit to the rounding of their numbers; nothing shows their noise, so no uncertainty is stated"
 
 
 @dataclass(frozen=True)
@@ -95,7 +98,7 @@ def fitted_features(wanted: Sequence[RequestedFeature], points: FeaturePoints) -
             own[unknown] = np.eye(3) * noise**2
             dofs[feature.name] = float(dof)
             text = f"noise of a coordinate {sized(noise, 'length')}, by {dof} degrees of freedom; form counts as noise"
-            notes.append(f"feature '{feature.name}': {text}")
+            notes.append(f"feature '{feature.name}': {text if noise else _NO_NOISE}")
     rows = np.arange(len(own))
     joint = Joint(points.common, points.core, rows, np.nan_to_num(own), np.zeros(len(own)))
     corrected = Table.of({"point": points.table.texts("point"), "x y z [mm]": points.places})
@@ -109,7 +112,10 @@ def fitted_features(wanted: Sequence[RequestedFeature], points: FeaturePoints) -
 
 
 def _noise_of(feature: RequestedFeature, points: Array) -> tuple[float, int]:
-    """Return the standard deviation of a coordinate by the distances from the least-squares feature, and its dof."""
+    """Return the standard deviation of a coordinate by the distances from the least-squares feature, and its dof.
+
+    It is 0 where the distances are rounding.
+    """
     try:
         fit = least_squares(feature.shape, points)
     except (UndeterminedError, NotConvergedError) as error:
@@ -123,7 +129,8 @@ def _noise_of(feature: RequestedFeature, points: Array) -> tuple[float, int]:
             f"feature '{feature.name}': {len(points)} points do not show their noise; give a column sigma_mm, `noise`, "
             "or more points"
         )
-    return float(np.sqrt((values**2).sum() / dof)), dof
+    noise = float(np.sqrt((values**2).sum() / dof))
+    return noise if noise > rounding_of(points) else 0.0, dof
 
 
 def features_alone(wanted: Sequence[RequestedFeature], table: Table, noise: float | str) -> Result:

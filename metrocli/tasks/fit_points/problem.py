@@ -23,6 +23,7 @@ from metrocli.instruments.frames import OutOf, PointOf
 from metrocli.table import Table
 from metrocli.tasks.fit_points.settings import ESTIMATED, Files, Settings
 from metrocli.tasks.shared.lists import refuse, sigmas
+from metrocli.tasks.shared.rounding import rounding_of
 from metrocli.words import listed, nearest
 
 POINT, POSE, SCALE = "point", "pose", "scale"
@@ -130,6 +131,11 @@ class PointPairs:
     def start_noise(self) -> float:
         """A noise to begin with where it is estimated: a thousandth of the extent [mm]."""
         return 1e-3 * (float(np.ptp(self.measured, axis=0).max()) or 1.0)
+
+    @property
+    def rounding(self) -> float:
+        """Deviations that the rounding of the coordinates makes [mm]."""
+        return rounding_of(self.measured, self.nominal)
 
     @property
     def sigma(self) -> Array:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -18,11 +19,14 @@ from metrocli.tasks.fit_points import KIND
 from metrocli.tasks.fit_points.features import FeaturePoints, FittedFeatures, fitted_features, own_sigma
 from metrocli.tasks.fit_points.problem import POINT, POSE, SCALE, PointPairs
 from metrocli.tasks.shared.features.wanted import RequestedFeature
+from metrocli.tasks.shared.rounding import without_rounding
 from metrocli.tasks.shared.statistics import basic_statistics, noise_notes, noise_warnings, residual_table, with_noise
 from metrocli.words import listed
 
 _NOTABLE = 0.95
 """A mirror image is named that has so many times the deviations or fewer"""
+_CONTROLLED = 1e-6
+"""Redundancy from which a reading has a test of its own"""
 _RIGID = 6
 """Unknowns of a transformation without a scale"""
 
@@ -31,6 +35,9 @@ def report(problem: PointPairs, solution: Solution, mirrored: float, wanted: Seq
     """Return the result of a solved best fit; `mirrored` is the root mean square deviation of the mirror image [mm]."""
     estimated = problem.estimated
     factor = solution.sigma0 if estimated and solution.dof > 0 else 1.0
+    exact = estimated and factor * problem.start_noise <= problem.rounding
+    rounding, factor = (problem.rounding, 0.0) if exact else (0.0, factor)
+    of_angles = rounding / (float(np.ptp(problem.measured, axis=0).max()) or 1.0)
     pose, scale = solution.blocks[POSE].values[0], float(solution.blocks[SCALE].values[0, 0])
     names = (POSE, SCALE) if problem.scale else (POSE,)
     covariance = solution.joint(names) * factor**2
@@ -43,16 +50,19 @@ def report(problem: PointPairs, solution: Solution, mirrored: float, wanted: Seq
     tested = suspects(_merged(everything), FitQuality(solution.cost, solution.dof, not estimated))
     worst = _by_point(problem, tested, members)
     moved, std = _moved(problem, pose, scale, covariance, factor)
+    moved = without_rounding(moved, rounding)
     laid = _laid_features(problem, wanted, (pose, scale), covariance, factor)
-    off = moved - problem.nominal
+    off = without_rounding(moved - problem.nominal, rounding)
     change = np.eye(len(covariance))
     change[:6, :6] = poses.euler_form_by_step(pose)
     of_euler = change @ covariance @ change.T
-    values, stds = [*poses.euler_form(pose).tolist(), scale], np.sqrt(np.diag(of_euler)).tolist()
+    euler, stds = poses.euler_form(pose), np.sqrt(np.diag(of_euler)).tolist()
+    parts = (without_rounding(euler[:3], rounding), without_rounding(np.append(euler[3:], scale), of_angles))
+    values = np.concatenate(parts).tolist()
     rows = [*zip(poses.EULER, values, stds, ("mm",) * 3 + ("rad",) * 3, strict=False)]
     estimates = [Estimate(name, value, s, unit) for name, value, s, unit in rows]
     if problem.scale:
-        estimates.append(Estimate("scale", scale, stds[6], "1", ABOUT_ONE))
+        estimates.append(Estimate("scale", values[6], stds[6], "1", ABOUT_ONE))
     distance = np.sqrt(np.nansum(off**2, axis=1))
     size = float(np.sqrt((distance**2).mean()))
     statistics = basic_statistics(solution, {"mm": size}) | {"points": len(problem.names), "mirrored_rms": mirrored}
@@ -68,7 +78,7 @@ def report(problem: PointPairs, solution: Solution, mirrored: float, wanted: Seq
     tables = {
         "points": Table.of(points),
         "residuals": Table.stack(
-            [residual_table(residuals, group) for residuals, group in zip(read, groups, strict=True)]
+            [residual_table(_in_noise(residuals, factor), group) for residuals, group in zip(read, groups, strict=True)]
         ),
         "suspects": Table.of({"point [text]": list(worst), "w": list(worst.values())}),
     }
@@ -81,11 +91,21 @@ def report(problem: PointPairs, solution: Solution, mirrored: float, wanted: Seq
         statistics=statistics,
         tables=tables,
         arrays=arrays,
-        warnings=tuple(_warnings(problem, solution, tested.critical, worst)),
+        warnings=(*_exactness(exact, rounding), *_warnings(problem, solution, tested.critical, worst)),
         shown=(ShownTable("points"),),
-        notes=tuple(_notes(problem, solution, size, mirrored)),
+        notes=tuple(_notes(problem, solution, size, mirrored, exact)),
     )
     return result if laid is None else laid.added_to(result, covariance @ change.T)
+
+
+def _in_noise(residuals: Residuals, factor: float) -> Residuals:
+    """Return residuals relative to the noise that is found: that of the adjustment times a factor; 0: no noise.
+
+    They are not controlled where the errors are those of the measured points, whose own list tests them.
+    """
+    controlled = (residuals.redundancy > _CONTROLLED) & (factor > 0)
+    normalised = np.where(controlled, residuals.normalised / (factor or 1.0), np.nan)
+    return replace(residuals, sigma=residuals.sigma * factor, normalised=normalised)
 
 
 def _merged(read: list[Residuals]) -> Residuals:
@@ -151,6 +171,15 @@ def _laid_features(
     return fitted_features(wanted, FeaturePoints(problem.list, moved, own, slope, covariance))
 
 
+def _exactness(exact: bool, rounding: float) -> Iterator[str]:
+    if exact:
+        yield (
+            f"all points fit to the rounding of their numbers (deviations below {rounding:.1g} mm), as where one list "
+            "is calculated from the other. Nothing shows the noise of a measurement, so no uncertainty is stated; give "
+            "`noise` or a column sigma_mm"
+        )
+
+
 def _warnings(problem: PointPairs, solution: Solution, critical: float, worst: dict[str, float]) -> Iterator[str]:
     yield from problem.warnings
     if not problem.estimated:
@@ -160,7 +189,10 @@ def _warnings(problem: PointPairs, solution: Solution, critical: float, worst: d
         yield f"points that do not fit the others, beyond |w| = {critical:.2f}: {listed(named, 5)}"
 
 
-def _notes(problem: PointPairs, solution: Solution, size: float, mirrored: float) -> Iterator[str]:
+def _notes(problem: PointPairs, solution: Solution, size: float, mirrored: float, exact: bool) -> Iterator[str]:
+    if exact:
+        yield f"deviations of {len(problem.names)} points: none beyond rounding"
+        return
     yield f"deviations of {len(problem.names)} points: root mean square {size:.4g} mm"
     if np.isfinite(mirrored) and mirrored < _NOTABLE * size:
         yield f"a mirror image would have {mirrored:.4g} mm; a rotation cannot give it, and this is a rotation"

@@ -1,4 +1,4 @@
-"""Tolerances of measurands: checks of their limits, and the decision from value and uncertainty."""
+"""Tolerances and targets of measurands: checks of what is given, and the decision from value and uncertainty."""
 
 from __future__ import annotations
 
@@ -54,6 +54,23 @@ def faults(tolerance: Any, wanted: Mapping[str, LocatedValue]) -> Iterable[Fault
         except units.QuantityError:
             continue
         yield from _of_one(placed, unit)
+
+
+def target_faults(targets: Mapping[str, Measure], wanted: Mapping[str, LocatedValue]) -> Iterable[Fault]:
+    """Yield the faults of the wanted expanded uncertainties of measurands."""
+    for name, measure in targets.items():
+        if name not in wanted:
+            yield measure.node.fault(f"target of '{name}', which is not a measurand", suggestion(name, wanted))
+            continue
+        try:
+            unit = compound("" if wanted[name].value.unit == "1" else wanted[name].value.unit)
+        except units.QuantityError:
+            continue
+        if measure.unit.powers != unit.powers:
+            message = f"the target is {described(measure.unit)}, the measurand is {described(unit)}"
+            yield measure.fault(message, f"write it in {unit.text}")
+        elif measure.number <= 0:
+            yield measure.fault("the target is not above zero", "write the U that is wanted")
 
 
 def _of_one(placed: LocatedValue, unit: Compound) -> Iterable[Fault]:

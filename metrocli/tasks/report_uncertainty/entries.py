@@ -37,6 +37,8 @@ SHAPES = (
     "sampled", "rectangular", "U", "poisson",
 )  # fmt: skip
 """Distributions; the last three are synonyms."""
+FACTOR = Number(0.5, 100)
+"""Coverage factors, from less than that of 50 % to more than that of 99 % with one degree of freedom"""
 
 
 @dataclass(frozen=True)
@@ -65,7 +67,7 @@ class InputEntry:
     std: Measure | None = setting(AnyQuantity(), "standard uncertainty", default=None)
     half_width: Measure | None = setting(AnyQuantity(), "half-width of the distribution", default=None)
     U: Measure | None = setting(AnyQuantity(), "expanded uncertainty of a certificate, with its k", default=None)
-    k: float | None = setting(Number(above=0), "coverage factor of U", default=None)
+    k: float | None = setting(FACTOR, "coverage factor of U", default=None)
     dof: float | None = setting(DegreesOfFreedom(), "degrees of freedom of the uncertainty", default=None)
     distribution: str | None = setting(Choice(*SHAPES), "shape of the distribution", default=None)
     inexactness: Measure | None = setting(
@@ -110,8 +112,8 @@ class Measurand:
 class CoverageSetting:
     """Coverage of the expanded uncertainty: a probability or a factor k."""
 
-    probability: float | None = setting(Probability(), "coverage probability", default=None)
-    k: float | None = setting(Number(above=0, maximum=20), "coverage factor", default=None)
+    probability: float | None = setting(Probability(0.5), "coverage probability", default=None)
+    k: float | None = setting(FACTOR, "coverage factor", default=None)
 
     def faults(self) -> Iterable[tuple[str, ...]]:
         """Yield the faults of keys that contradict each other or are incomplete."""
@@ -267,3 +269,6 @@ class Entries:
         Either(At(AnyQuantity()), MapOf(At(Either(ListOf(Limit(), 2), Section(Tolerance))))),
         "limits of measurands, or the full width of the tolerance in a volume", default=None,
     )  # fmt: skip
+    target: Mapping[str, Measure] = setting(
+        MapOf(AnyQuantity()), "wanted U of measurands, for the reverse budget", default={}
+    )

@@ -50,6 +50,7 @@ def faults(settings: Entries) -> Iterable[Fault | tuple[str, ...]]:
             yield key, f"the key '{key}' is missing", "or give volume and contributors"
     yield from _Gathering(settings, None, None).faults
     yield from uncertainty_decisions.faults(settings.tolerance, settings.measurands)
+    yield from uncertainty_decisions.target_faults(settings.target, settings.measurands)
 
 
 def build(

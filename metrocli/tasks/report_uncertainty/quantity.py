@@ -33,6 +33,8 @@ from metrocli.words import suggestion
 _OTHER_NAMES = {"rectangular": "uniform", "U": "arcsine", "poisson": "counts"}
 _WIDTHS = {"uniform": math.sqrt(3), "triangular": math.sqrt(6), "arcsine": math.sqrt(2)}
 """Ratio of half-width to standard deviation"""
+SHARES = ("percent", "ppm", "ppb")
+"""Units of a width that is a share of its value"""
 
 
 class _Wrong(Exception):
@@ -96,7 +98,7 @@ def _spread(given: InputEntry, best: Measure) -> Dispersion:
         raise _Wrong(widths[1], f"{' and '.join(widths)} are both given", "give one uncertainty only")
     if (given.U is None) != (given.k is None):
         raise _Wrong("U" if given.U else "k", "U needs its k, and k its U", "write e.g. {value: .., U: 30 nm, k: 2}")
-    width = _size(getattr(given, widths[0]), best) if widths else None
+    width = _width(getattr(given, widths[0]), best) if widths else None
     shape = _OTHER_NAMES.get(given.distribution or "", given.distribution or "")
     dof = math.inf if given.dof is None else given.dof
     if shape in ("exponential", "counts"):
@@ -160,15 +162,42 @@ def _curvilinear(given: InputEntry, width: float, best: Measure) -> Distribution
     return CurvilinearTrapezoid(width, inexactness) if inexactness else Uniform(width)
 
 
+def _width(measure: Measure, best: Measure) -> float:
+    """Return a width in base units; in a unit of shares (%, ppm) it is a share of the value."""
+    share, own = (units.plain_symbol(item.unit.text) for item in (measure, best))
+    if share not in SHARES or share == own:
+        return _size(measure, best)
+    key, text = _key(measure), measure.node.text
+    if own in ("1", *SHARES):
+        sizes = [f"{size / best.unit.factor:.6g}" for size in (measure.value * abs(best.value), measure.value)]
+        hint = (
+            f"write {sizes[0]} for a share of the value, {sizes[1]} for a difference from it, in the unit of the value"
+        )
+        raise _Wrong(key, f"'{text}' is ambiguous for a value that is a plain number", hint)
+    if best.unit.point:
+        raise _Wrong(key, f"'{text}' of a temperature in degC has no meaning", "write it in K")
+    if best.value == 0:
+        raise _Wrong(key, f"'{text}' of a value of 0 is no uncertainty", f"write it in {best.unit.text}")
+    return _not_negative(measure) * abs(best.value)
+
+
 def _size(measure: Measure, best: Measure) -> float:
     """Return a width in base units; it must have the kind of unit of its quantity and not be negative."""
-    key = measure.node.path.rpartition(".")[2]
     if measure.unit.powers != best.unit.powers:
-        message = f"{key} is {described(measure.unit)}, the value {described(best.unit)}"
-        raise _Wrong(key, message, "write it without a unit" if best.unit.number else f"write it in {best.unit.text}")
+        message = f"{_key(measure)} is {described(measure.unit)}, the value {described(best.unit)}"
+        hint = "write it without a unit" if best.unit.number else f"write it in {best.unit.text}"
+        raise _Wrong(_key(measure), message, hint)
+    return _not_negative(measure)
+
+
+def _not_negative(measure: Measure) -> float:
     if measure.number < 0:
-        raise _Wrong(key, f"{key} is negative: {measure.node.text}", "0 or more")
+        raise _Wrong(_key(measure), f"{_key(measure)} is negative: {measure.node.text}", "0 or more")
     return measure.value
+
+
+def _key(measure: Measure) -> str:
+    return measure.node.path.rpartition(".")[2]
 
 
 def _from_table(name: str, given: InputEntry, table: Table | None) -> InputQuantity:

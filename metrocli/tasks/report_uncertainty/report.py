@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,18 +13,18 @@ from metrocli.frozen import dataclass
 from metrocli.result import Estimate, Result
 from metrocli.table import Table
 from metrocli.tasks.report_uncertainty import KIND
-from metrocli.tasks.report_uncertainty.aligned_text import aligned
+from metrocli.tasks.report_uncertainty import budget as budget_text
+from metrocli.tasks.report_uncertainty.budget import MeasurandBudget
 from metrocli.tasks.report_uncertainty.decisions import PLAIN as DECIDED
 from metrocli.tasks.report_uncertainty.decisions import DecidedMeasurand, decide, limits_of, lines
 from metrocli.tasks.report_uncertainty.entries import Entries
 from metrocli.tasks.report_uncertainty.problem import PropagationProblem
-from metrocli.uncertainty.distributions import in_trials
+from metrocli.tasks.report_uncertainty.reverse_budget import needed_factors
 from metrocli.uncertainty.monte_carlo import MonteCarloResult
 from metrocli.uncertainty.propagation import (
     Coverage,
     LinearPropagation,
     Propagated,
-    budget_order,
     coverage_factor,
     covered,
     ellipsoid_factor,
@@ -33,9 +34,11 @@ from metrocli.uncertainty.propagation import (
 from metrocli.uncertainty.validation import Judged, Validation, judge
 from metrocli.units import rounded
 
+_MANY = 1e6
+"""Degrees of freedom that are not reported: k is that of the normal distribution"""
 _PURE = ("trials", "covered")
 """Numbers of a Monte Carlo run that have no unit"""
-PLAIN = ("k", "dof", "probability", "trials", "covered", "gum_valid", "capable", *DECIDED)
+PLAIN = ("k", "dof", "probability", "trials", "covered", "gum_valid", "capable", "factor", *DECIDED)
 
 
 @dataclass(frozen=True)
@@ -60,6 +63,7 @@ class _Measurand:
     std: float
     details: dict[str, Any]
     verdict: Validation | None
+    budget: MeasurandBudget
 
 
 def report(evaluation: BothMethods) -> Result:
@@ -88,7 +92,7 @@ def report(evaluation: BothMethods) -> Result:
         estimates=tuple(Estimate(m.name, m.value, m.std, m.unit) for m in measurands),
         covariance=covariance,
         statistics=statistics,
-        tables={"budget": _budget(evaluation, measurands)},
+        tables=budget_text.tables([m.budget for m in measurands]) | _histograms(evaluation, measurands),
         arrays=arrays,
         warnings=(*evaluation.problem.warnings, *(note for m in measurands for note in _warnings(m))),
         notes=tuple(line for m in measurands for line in _notes(evaluation, m)),
@@ -132,7 +136,22 @@ def _measurand(evaluation: BothMethods, index: int, name: str) -> _Measurand:
     details["gum_valid"] = verdict.valid if verdict is not None else math.nan
     if evaluation.settings.tolerance and name in evaluation.settings.tolerance:
         details["tolerance"] = _decision(evaluation, index, name, std, k * std)
-    return _Measurand(name, unit.text, linear, linear.value / factor, std / factor, details, verdict)
+    parts = _budget(evaluation, name, details)
+    return _Measurand(name, unit.text, linear, linear.value / factor, std / factor, details, verdict, parts)
+
+
+def _budget(evaluation: BothMethods, name: str, details: dict[str, Any]) -> MeasurandBudget:
+    """Return the budget of a measurand, and add its target, if it has one, to the details."""
+    unit, linear = evaluation.problem.units[name], evaluation.propagated.measurands[name]
+    plain = MeasurandBudget(name, "" if unit.text == "1" else unit.text, unit.factor, linear, evaluation.problem.inputs)
+    if name not in evaluation.settings.target:
+        return plain
+    wanted = evaluation.settings.target[name].value
+    U = details["U"] * unit.factor
+    reached = wanted >= U
+    details["target"] = {"U": wanted / unit.factor, "reached": reached, "factor": 1.0 if reached else wanted / U}
+    needed = None if linear.replaced else needed_factors(linear, plain.inputs, evaluation.coverage, wanted)
+    return replace(plain, target=wanted / unit.factor, needed=needed)
 
 
 def _verdict(
@@ -191,32 +210,27 @@ def _monte_carlo(evaluation: BothMethods, index: int, probability: float) -> dic
     return printed | ({"resolution": sample.resolution} if sample.resolution else {})
 
 
-def _budget(evaluation: BothMethods, measurands: Sequence[_Measurand]) -> Table:
-    """Return one row for each measurand and contributor, the largest contribution first."""
-    inputs = evaluation.problem.inputs
+_BINS, _MOST_SHOWN = 60, 0.998
+"""Bins of a histogram of trials, and the share of them that it shows at least"""
+
+
+def _histograms(evaluation: BothMethods, measurands: Sequence[_Measurand]) -> dict[str, Table]:
+    """Return the share of the trials of each measurand in equal bins, which also hold the intervals of both methods."""
     rows: list[tuple[Any, ...]] = []
-    for measurand in measurands:
-        linear, factor = measurand.linear, evaluation.problem.units[measurand.name].factor
-        along = inputs.covariance @ linear.sensitivities
-        for i in budget_order(linear):
-            item = inputs.quantities[i]
-            scale = item.unit.factor
-            share = _share(linear, along, i)
-            shape = in_trials(item.distribution, item.dof).words if item.distribution else "constant"
-            rows.append((
-                measurand.name, item.name, item.value / scale, item.std / scale, item.unit.text, shape,
-                linear.sensitivities[i] * scale / factor, linear.contributions[i] / factor, share, item.dof,
-            ))  # fmt: skip
-    headings = (
-        "measurand [text]", "contributor [text]", "value", "std", "unit [text]", "distribution [text]", "sensitivity",
-        "contribution", "share [percent]", "dof",
-    )  # fmt: skip
-    return Table.of_rows(headings, rows)
-
-
-def _share(linear: LinearPropagation, along: Any, i: int) -> float:
-    """Return the share of a contributor in the variance [percent]; shares of correlated ones can be negative."""
-    return 100 * float(linear.sensitivities[i] * along[i]) / linear.std**2 + 0.0 if linear.std > 0 else 0.0
+    for index, measurand in enumerate(measurands):
+        outcome, mc = evaluation.outcome, measurand.details.get("mc")
+        if outcome is None or not mc or not mc["std"]:
+            continue
+        factor, sample, centre = measurand.budget.factor, outcome.samples[index], outcome.centres[index]
+        ends = [*(end + centre for end in sample.symmetric(_MOST_SHOWN))]
+        ends += [end * factor for end in (*measurand.details["interval"], *mc["interval"])]
+        edges = np.linspace(min(ends), max(ends), _BINS + 1)
+        below = [sample.below(edge - centre) for edge in edges.tolist()]
+        edges = edges / factor
+        rows += [
+            (measurand.name, edges[n], edges[n + 1], 100 * (below[n + 1] - below[n])) for n in range(len(edges) - 1)
+        ]
+    return {"trials": Table.of_rows(("measurand [text]", "from", "to", "share [percent]"), rows)} if rows else {}
 
 
 def _warnings(measurand: _Measurand) -> list[str]:
@@ -231,7 +245,7 @@ def _notes(evaluation: BothMethods, measurand: _Measurand) -> list[str]:
     value, std = rounded(measurand.value, measurand.std)
     U = rounded(measurand.value, details["U"])[1]
     dof = details["dof"]
-    freedom = f", {dof:.4g} effective degrees of freedom" if math.isfinite(dof) else ""
+    freedom = f", {dof:.4g} effective degrees of freedom" if dof < _MANY else ""
     covers = f"k = {details['k']:.3g}, {100 * details['probability']:.4g} %"
     printed = [f"{measurand.name} = {value}{unit}, U = {U}{unit} ({covers}{freedom}), u = {std}{unit}"]
     second = details["second_order"]
@@ -253,7 +267,8 @@ def _notes(evaluation: BothMethods, measurand: _Measurand) -> list[str]:
         if mc.get("resolution"):
             printed.append(f"  trials counted in bins: interval ends are known to {mc['resolution']:.1e}{unit}")
     printed += _judgement(measurand)
-    printed += [f"  {line}" for line in _budget_lines(evaluation, measurand)]
+    printed += [f"  {line}" for line in budget_text.lines(measurand.budget)]
+    printed += [f"  {line}" for line in budget_text.reverse_lines(measurand.budget, details.get("target", {}))]
     if "tolerance" in details:
         printed += [f"  {line}" for line in lines(details["tolerance"], measurand.unit)]
     return printed
@@ -268,21 +283,3 @@ def _judgement(measurand: _Measurand) -> list[str]:
     return ["  Monte Carlo does not validate GUM (JCGM 101, clause 8):"] + [
         f"    {reason}" for reason in verdict.reasons
     ]
-
-
-def _budget_lines(evaluation: BothMethods, measurand: _Measurand) -> list[str]:
-    inputs, linear = evaluation.problem.inputs, measurand.linear
-    factor = evaluation.problem.units[measurand.name].factor
-    along = inputs.covariance @ linear.sensitivities
-    rows = [("contributor", "value", "u", "unit", "sensitivity", "contribution", "share %", "dof")]
-    order = budget_order(linear)
-    for i in order[:20]:
-        item = inputs.quantities[i]
-        scale = item.unit.factor
-        share = _share(linear, along, i)
-        dof = f"{item.dof:.4g}" if math.isfinite(item.dof) else "-"
-        slope, brings = linear.sensitivities[i] * scale / factor, linear.contributions[i] / factor
-        value, std = rounded(item.value / scale, item.std / scale)
-        rows.append((item.name, value, std, item.unit.text, f"{slope:.4g}", f"{brings:.3g}", f"{share:.1f}", dof))
-    printed = aligned(rows, left=(0, 3))
-    return printed + ([f"... {len(order) - 20} more (show --table budget)"] if len(order) > 20 else [])

@@ -50,7 +50,9 @@ def figures(settings: Settings) -> dict[str, str]:
     measurands = {name: measurand.value.unit for name, measurand in settings.measurands.items()}
     limits = settings.tolerance if isinstance(settings.tolerance, Mapping) else {}
     decided = {f"{name}.tolerance": unit for name, unit in measurands.items() if name in limits}
+    aimed = {f"{name}.target": unit for name, unit in measurands.items() if name in settings.target}
     details = _below(measurands, (*_OF_EACH, *_TRIALS), _PLAIN) | _below(decided, _DECIDED, _DECIDED_PLAIN)
+    details |= _below(aimed, ("U",), ("reached", "factor"))
     statistics = ("measurands", "quantities", "joint_factor", "trials", "seed")
     return with_std(measurands) | details | dict.fromkeys(statistics, "")
 

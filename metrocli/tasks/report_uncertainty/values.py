@@ -70,6 +70,8 @@ def _between(a: str, first: Result, b: str, second: Result) -> list[str]:
 
 
 INFINITE = ("inf", ".inf", "infinite")
+FEWEST = 0.5
+"""Least degrees of freedom"""
 
 
 def _refused(node: Node, faults: list[Fault], message: str, hint: str) -> Any:
@@ -97,8 +99,9 @@ class Limit:
 
 @dataclass(frozen=True)
 class Probability:
-    """A number above 0 and below 1."""
+    """A number above 0 and below 1, or from `minimum` on."""
 
+    minimum: float = 0.0
     expects = "a probability such as 0.95"
 
     def fits(self, node: Node) -> bool:
@@ -106,10 +109,12 @@ class Probability:
 
     def read(self, node: Node, faults: list[Fault]) -> Any:
         value = Number().read(node, faults)
-        if value is BAD or 0 < value < 1:
+        if value is BAD or (0 < value < 1 and value >= self.minimum):
             return value
         hint = f"write {value / 100:g}" if 1 < value < 100 else f"expected {self.expects}"
-        return _refused(node, faults, f"{node.text} is not a probability between 0 and 1", hint)
+        if 0 < value < 1:
+            hint = f"write {1 - value:.12g} if {node.text} is the probability outside"
+        return _refused(node, faults, f"{node.text} is not a probability between {self.minimum:g} and 1", hint)
 
     def schema(self) -> Schema:
         return {"type": "number", "exclusiveMinimum": 0, "exclusiveMaximum": 1}
@@ -117,18 +122,18 @@ class Probability:
 
 @dataclass(frozen=True)
 class DegreesOfFreedom:
-    """A number above 0, or `inf`."""
+    """A number, or `inf`; 0.5 are those of an uncertainty that is itself uncertain by 100 % (JCGM 100, G.4.2)."""
 
-    expects = "a number above 0, or inf"
+    expects = "a number of at least 0.5, or inf"
 
     def fits(self, node: Node) -> bool:
         return node.kind == "scalar" and not node.empty
 
     def read(self, node: Node, faults: list[Fault]) -> Any:
-        return math.inf if node.text in INFINITE else Number(above=0).read(node, faults)
+        return math.inf if node.text in INFINITE else Number(FEWEST).read(node, faults)
 
     def schema(self) -> Schema:
-        return {"anyOf": [{"type": "number", "exclusiveMinimum": 0}, {"enum": list(INFINITE)}]}
+        return {"anyOf": [Number(FEWEST).schema(), {"enum": list(INFINITE)}]}
 
 
 @dataclass(frozen=True)

@@ -45,7 +45,7 @@ def faults(settings: Entries) -> Iterable[Fault | tuple[str, ...]]:
     for key in ("volume", "contributors"):
         if not getattr(settings, key):
             yield key, f"the key '{key}' is missing", "a volume needs its contributors"
-    for key in ("quantities", "measurands", "correlations"):
+    for key in ("quantities", "measurands", "correlations", "target"):
         if getattr(settings, key):
             yield key, f"{key} and a volume are both given", "write two jobs"
     tolerance = settings.tolerance

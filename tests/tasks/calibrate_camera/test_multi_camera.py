@@ -133,6 +133,23 @@ def test_images_of_no_camera_are_refused(tmp_path: Path, metrocli: Metrocli) -> 
     assert ran.code == 3 and "images of no camera, or of two: top.png" in ran.err
 
 
+def test_each_camera_has_its_size_of_images(tmp_path: Path, metrocli: Metrocli) -> None:
+    rng = np.random.default_rng(3)
+    for name, size in (("left0", (30, 40)), ("left1", (30, 40)), ("right0", (60, 80)), ("right1", (60, 80))):
+        cv2.imwrite(str(tmp_path / f"{name}.png"), rng.integers(0, 255, size, dtype=np.uint8))
+    inputs = '{images: "*.png"}\npattern: {type: chessboard, columns: 9, rows: 6, pitch: 25 mm}'
+    text = JOB.format(inputs=inputs, left="", right="")
+    (tmp_path / "rig.yaml").write_text(text)
+    assert metrocli("check", tmp_path / "rig.yaml").code == 0
+    ran = metrocli("check", tmp_path / "rig.yaml", "--set", "cameras.right.image_size=[40, 30]")
+    assert ran.code == 3 and "the images are 80 x 60 px, but cameras: right: image_size is 40 x 30 px" in ran.err
+    cv2.imwrite(str(tmp_path / "right2.png"), rng.integers(0, 255, (30, 40), dtype=np.uint8))
+    for command in ("check", "calibrate-camera"):
+        ran = metrocli(command, tmp_path / "rig.yaml")
+        assert ran.code == 3 and "right2.png: error: this image is 40 x 30 pixels" in ran.err, ran.err
+        assert "as 2 of 3 are; the images of a camera have one size" in ran.err
+
+
 def test_faults_are_all_listed(tmp_path: Path, metrocli: Metrocli) -> None:
     text = JOB.format(inputs=TABLES, left="", right=", model: fisheye").replace("board", "network")
     (tmp_path / "rig.yaml").write_text(text + "camera: {image_size: [640, 480]}\n")

@@ -21,7 +21,7 @@ HELD = "camera.estimate=[f, k1, k2, p1, p2]"
 def numbers_in(text: str, after: str) -> np.ndarray[Any, np.dtype[np.float64]]:
     """Return the two numbers in brackets that follow some words."""
     inside = text.split(after)[1].split(")")[0].split("(")[1]
-    return np.array([float(word) for word in inside.split(",")])
+    return np.array([float(word.partition("±")[0]) for word in inside.split(",")])
 
 
 def rows(path: Path) -> list[str]:

@@ -16,17 +16,17 @@ from metrocli.tasks.calibrate_camera import task as calibrate_camera
 FOCAL, MIDDLE, NOISE = 900.0, np.array([319.5, 239.5]), 0.1
 
 
-def calibrated(turns: float, targets: str, axes: str = "xyz") -> Result:
+def calibrated(turns: float, targets: str, axes: str = "xyz", tilts: float = 0.5) -> Result:
     """Calibrate with ten images of a board of 9 x 6 targets, turned about the viewing axis by up to `turns` degrees.
 
-    The board is listed in the plane of the first two `axes`.
+    The board is listed in the plane of the first two `axes`; its tilts about x and y are within `tilts`, small ones about 0.2 rad.
     """
     rng = np.random.default_rng(145)
     x, y = (part.ravel() for part in np.meshgrid(np.arange(9) * 25.0, np.arange(6) * 25.0))
     board = np.stack([x, y, 0 * x], axis=1)
     pixels = []
     for turn in np.radians(np.linspace(0, turns, 10)):
-        tilt = rotation_from_vector(np.array([*rng.uniform(-0.5, 0.5, 2), 0.0]))
+        tilt = rotation_from_vector(np.array([*rng.uniform(-tilts, tilts, 2) + 0.2 * (tilts < 0.5), 0.0]))
         seen = (board - board.mean(axis=0)) @ (tilt @ rotation_from_vector(np.array([0.0, 0.0, turn]))).T
         seen += [*rng.uniform(-20, 20, 2), rng.uniform(420, 520)]
         pixels.append(FOCAL * seen[:, :2] / seen[:, 2:] + MIDDLE + rng.normal(0, NOISE, (len(board), 2)))
@@ -68,3 +68,10 @@ def test_turned_images_determine_the_principal_point_better() -> None:
     }
     assert std[20, "estimate"] > 2 * std[90, "estimate"]
     assert std[20, "listed"] < 1.5 * std[90, "listed"]
+
+
+@pytest.mark.parametrize(("tilts", "told"), [(0.05, True), (0.5, False)])
+def test_images_of_one_angle_ask_for_tilts(tilts: float, told: bool) -> None:
+    warnings = [line for line in calibrated(20, "listed", tilts=tilts).warnings if "at one angle" in line]
+    assert len(warnings) == told
+    assert all("tilt the board by 20 to 45 degrees about both axes" in line for line in warnings)

@@ -101,6 +101,28 @@ def test_what_is_simulated_is_found_again(folder: Path, text: str, metrocli: Met
     assert metrocli("export", folder / "result.h5", "--to", "csv", "--out", folder / "out").code == 0
 
 
+@pytest.mark.parametrize("axes", [("x",), ("x", "z")])
+def test_displacement_alone_is_simulated_planned_and_found_again(
+    axes: tuple[str, ...], folder: Path, metrocli: Metrocli
+) -> None:
+    """Five runs to and fro along each axis of the job, with the channel of its displacement (ISO 230-2)."""
+    given = ", ".join(f"{axis}: {{range: [0 mm, 600 mm], knots: 5}}" for axis in axes)
+    text = LINES[: LINES.index("machine:")] + f"machine: {{axes: {{{given}}}}}\nmethod: six-dof\n"
+    text += "inputs: {lines: new/lines.csv}\nnoise: {displacement: 0.5 um}\nsimulation: {error: 20 um, step: 50 mm}\n"
+    (folder / "job.yaml").write_text(text + "output: result.h5\n")
+    assert metrocli("simulate", "job.yaml", "--seed", 2, "--out", "new").code == 0
+    head = (folder / "new" / "lines.csv").read_text().splitlines()[0].split(",")
+    assert [name for name in head if name[:2] in ("ex", "ey", "ez", "ea")] == [f"e{axis}_mm" for axis in axes]
+    assert metrocli("calibrate-machine", "job.yaml").code == 0
+    result, true = hdf5.read(folder / "result.h5")[0], csv.read(folder / "new" / "true_errors.csv", columns_of_truth())
+    assert set(result.tables["positioning"].numbers("runs_up")) == {5}
+    for name in (f"E{axis}{axis}".upper() for axis in axes):
+        table = result.tables[f"tables/{name}"]
+        off = table.numbers("value") - true.numbers("value")[np.array(true.texts("error")) == name]
+        assert np.abs(off / np.maximum(table.numbers("std"), 1e-6)).max() < 4.5
+    assert metrocli("plan", "job.yaml", "--out", "plan").code == 0
+
+
 def columns_of_truth():  # type: ignore[no-untyped-def]
     from metrocli.table import TEXT, Column, Columns
 

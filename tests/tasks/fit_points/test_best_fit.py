@@ -80,6 +80,18 @@ def test_exact_lists_are_laid_onto_each_other_exactly() -> None:
     assert np.abs(result.tables["points"].stacked(["dx", "dy", "dz"])).max() < 1e-9
 
 
+def test_rounding_is_no_noise() -> None:
+    """A list calculated from the other: no uncertainty of 1e-15 mm, but the sentence that nothing shows the noise."""
+    measured = np.random.default_rng(4).uniform(-500, 500, (6, 3)).round(3)
+    result = fitted(table(measured), table(1.001 * TURN.apply(measured) + SHIFT), scale=True)
+    assert not any(estimate.std for estimate in result.estimates)
+    assert not any(result.tables["points"].numbers(name).any() for name in ("sx", "dx", "dy", "dz", "d"))
+    assert "fit to the rounding of their numbers" in result.warnings[0]
+    assert values(result)[6] == 1.001
+    noisy = fitted(table(measured), table(TURN.apply(measured) + SHIFT + 1e-9 * np.sign(measured)))
+    assert noisy.estimates[0].std > 1e-10 and not noisy.warnings
+
+
 @pytest.mark.parametrize("draws", [60, pytest.param(200, marks=pytest.mark.slow)])
 def test_stated_uncertainties_hold(draws: int) -> None:
     """Draws with noise in both lists: z of the transformation and of the moved points is about 1."""

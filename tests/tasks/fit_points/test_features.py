@@ -152,3 +152,14 @@ def test_what_is_refused(features: str, code: int, words: str, tmp_path: Path, m
     ran = metrocli("fit-points", tmp_path / "job.yaml")
     assert ran.code == code, ran.err
     assert words in " ".join((ran.err + ran.out).split())
+
+
+def test_a_circle_that_is_calculated_has_no_noise(tmp_path: Path, metrocli: Metrocli) -> None:
+    angles = np.linspace(0, 5, 9)
+    circle = np.column_stack([7 + 10 * np.cos(angles), 10 * np.sin(angles), np.full(9, 3.0)])
+    rows = [f"P{i},c,{x!r},{y!r},{z!r}" for i, (x, y, z) in enumerate(circle.tolist())]
+    (tmp_path / "job.yaml").write_text(JOB.replace("noise: 3 um\n", "") + "features: {c: circle}\n")
+    (tmp_path / "points.csv").write_text("\n".join(["point,feature,x_mm,y_mm,z_mm", *rows]) + "\n")
+    ran = metrocli("fit-points", tmp_path / "job.yaml")
+    assert ran.code == 0 and "nothing shows their noise, so no uncertainty is stated" in ran.out
+    assert "e-" not in ran.out

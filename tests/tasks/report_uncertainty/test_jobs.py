@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -28,7 +29,7 @@ monte_carlo: {trials: 10000, seed: 1}
 """
 CORRELATED = "correlations: [{between: [ls, alpha], value: 0.9}, {between: [ls, theta], value: 0.9}, {between: [alpha, theta], value: -0.9}]\ncoverage"
 BAD = [
-    ("0.95}", "95}", 9, 25, "95 is not a probability", "write 0.95"), ("dof: 18", "dof: 0", 4, 46, "0 is out of range", "above 0"), ("std: 25 nm", "std: -25 nm", 4, 34, "std is negative", "0 or more"),
+    ("0.95}", "95}", 9, 25, "95 is not a probability", "write 0.95"), ("dof: 18", "dof: 0", 4, 46, "0 is out of range", "at least 0.5"), ("std: 25 nm", "std: -25 nm", 4, 34, "std is negative", "0 or more"),
     ("std: 25 nm", "std: 25", 4, 34, "std is a plain number, the value a length", "write it in mm"), ("std: 25 nm", "std: 25 K", 4, 34, "temperature difference", "mm"),
     ("alpha*theta)", "alpha*theta) + theta", 8, 38, "'theta' is a temperature difference", "same unit"), ("alpha*theta", "alhpa*theta", 8, 23, "no quantity 'alhpa'", "did you mean 'alpha'?"),
     ("unit: mm", "unit: K", 8, 44, "the model gives a length", "'mm'"), (", unit: mm", "", 8, 14, "the model gives a length", "'mm'"), ("  theta:", "  sin:", 6, 8, "'sin' is reserved", "sin_"),
@@ -44,6 +45,10 @@ BAD = [
     ("ls*(1 + alpha*theta)", "ls*(1 + alpha*theta)*9**9**9", 8, 36, "no finite value", "1e308"), ("ls*(1 + alpha*theta)", "open(ls)", 8, 15, "unknown function 'open'", "sqrt"), ("ls*(1 + alpha*theta)", "ls.real", 8, 15, "no result 'ls'", ""),
     ("coverage", "tolerance: {m: [1 mm, 2 mm]}\ncoverage", 9, 16, "'m', which is not a measurand", "l"), ("coverage", "tolerance: {l: [2 mm, 1 mm]}\ncoverage", 9, 23, "not above", "[lower, upper]"),
     ("coverage", "tolerance: {l: [1 K, 1 mm]}\ncoverage", 9, 17, "temperature difference", "mm"), ("coverage", "tolerance: 2 mm\ncoverage", 9, 12, "tolerance of a volume", "{NAME"), ("coverage", "tolerance: {l: [none, none]}\ncoverage", 9, 16, "both limits are missing", ""),
+    ("std: 25 nm", "U: 50 nm, k: 1e-9", 4, 42, "1e-9 is out of range", "at least 0.5 and at most 100"), ("0.95}", "0.05}", 9, 25, "0.05 is not a probability between 0.5 and 1", "write 0.95"), ("probability: 0.95", "k: 0.1", 9, 15, "0.1 is out of range", "at least 0.5"),
+    ("theta: {value: -0.1 K, std: 0.4 K", "theta: {value: 0 K, std: 4 %", 6, 28, "'4 %' of a value of 0", "in K"), ("theta: {value: -0.1 K, std: 0.4 K", "theta: {value: 20 degC, std: 4 %", 6, 32, "temperature in degC", "in K"), ("std: 25 nm", "std: -1 %", 4, 34, "std is negative", "0 or more"),
+    ("theta: {value: -0.1 K, std: 0.4 K", "theta: {value: 0.2, std: 4 %", 6, 28, "'4 %' is ambiguous", "write 0.008 for a share of the value, 0.04 for a difference"),
+    ("coverage", "target: {m: 1 nm}\ncoverage", 9, 13, "'m', which is not a measurand", "l"), ("coverage", "target: {l: 1 K}\ncoverage", 9, 13, "the target is a temperature difference", "mm"), ("coverage", "target: {l: 0 um}\ncoverage", 9, 13, "not above zero", "U"),
     ("value: 50.000623 mm", "value: 50,000623 mm", 4, 18, "unknown key '000623 mm'", "comma"), ("value: 50.000623 mm", "value: '50,000623 mm'", 4, 15, "decimal comma", "50.000623 mm"), ("0.95}", "0.95, k: 2}", 9, 34, "both given", "one of them"),
     ("unit: mm", "unit: furlong", 8, 44, "unknown unit 'furlong'", ""), ("-0.1 K, std: 0.4 K", "20 degC, std: 0.4 K", 8, 29, "differences of such temperatures", "20 degC"), ("-0.1 K", "-0.1 Kelvin", 6, 18, "unknown unit 'Kelvin'", ""),
     ("quantities:", "volume: {from: [0 mm, 0 mm, 0 mm], to: [1 mm, 1 mm, 1 mm]}\nquantities:", 1, 1, "'contributors' is missing", "volume"), ("seed: 1", "seed: -1", 10, 36, "out of range", "0"), ("seed", "sed", 10, 30, "unknown key 'sed'", "seed"),
@@ -125,6 +130,80 @@ def test_there_is_nothing_to_simulate_or_plan(command: str, tmp_path: Path, metr
     ran = metrocli(command, tmp_path / "job.yaml", "--out", tmp_path / "out")
     assert ran.code == 2
     assert "report-uncertainty jobs cannot be" in ran.err
+
+
+def test_values_are_shown_in_the_unit_of_the_measurand(tmp_path: Path, metrocli: Metrocli) -> None:
+    text = JOB.replace("unit: mm", "unit: nm") + "tolerance: {l: [49.999 mm, 50.001 mm]}\n"
+    (tmp_path / "job.yaml").write_text(text)
+    shown = metrocli("report-uncertainty", tmp_path / "job.yaml").out
+    assert re.search(r"^l +50000570 +± 230 +nm$", shown, re.MULTILINE), shown
+    assert "in the guard band (50000565.5 nm)" in shown
+
+
+def test_a_width_in_percent_is_a_share_of_the_value(tmp_path: Path) -> None:
+    quantities = {
+        "a": {"value": "-20 mm", "std": "0.5 %"}, "b": {"value": "20 mrad", "half_width": "3 %", "distribution": "uniform"},
+        "c": {"value": "5 V", "U": "100 ppm", "k": 2}, "d": {"value": "50 %", "std": "2 %"},
+    }  # fmt: skip
+    job = {
+        "quantities": quantities,
+        "measurands": {"y": {"model": "a*b*d*c", "unit": "mm V"}},
+        "monte_carlo": {"trials": 0},
+    }
+    table = carry_out(tmp_path, job).result.tables["budget"]
+    stds = dict(zip(table.texts("contributor"), table.numbers("std").tolist(), strict=True))
+    assert stds == pytest.approx({"a": 0.1, "b": 0.6 / math.sqrt(3), "c": 0.25e-3, "d": 2.0})
+
+
+REVERSE: dict[str, Any] = {
+    "a": {"value": 10, "std": 3.0, "dof": 4}, "b": {"value": 5, "std": 2.0, "dof": 12}, "c": {"value": 1, "std": 1.0},
+    "d": {"value": 1, "std": 0.2},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "correlations", [[], [{"between": ["b", "c"], "value": 0.6}]], ids=["independent", "correlated"]
+)
+@pytest.mark.parametrize("coverage", [{"probability": 0.95}, {"k": 2}], ids=["probability", "k"])
+def test_with_the_needed_std_the_job_reaches_its_target(
+    coverage: dict[str, float], correlations: list[Any], tmp_path: Path
+) -> None:
+    job: dict[str, Any] = {
+        "quantities": REVERSE, "measurands": {"y": {"model": "a + b - 2*c + d"}}, "coverage": coverage,
+        "correlations": correlations, "monte_carlo": {"trials": 0}, "target": {"y": 6.5},
+    }  # fmt: skip
+    ran = carry_out(tmp_path, job)
+    before, table = ran.details("y"), ran.result.tables["reverse_budget"]
+    assert before["target"] == {"U": 6.5, "reached": False, "factor": pytest.approx(6.5 / before["U"])}
+    needed = dict(zip(table.texts("contributor"), table.numbers("needed_std").tolist(), strict=True))
+    for name, std in needed.items():
+        U = [
+            carry_out(tmp_path, {**job, "quantities": {**REVERSE, name: {**REVERSE[name], "std": of}}}).details("y")[
+                "U"
+            ]
+            for of in ((0.0, 0.0) if math.isnan(std) else (std, 1.001 * std))
+        ]
+        assert U[1] > 6.5
+        assert U[0] <= 6.5 * (1 + 1e-9) or math.isnan(std)
+    assert math.isnan(needed["d"]) and math.isfinite(needed["a"])
+    assert any("cannot be reached by this input alone" in line for line in ran.result.notes)
+    shrunk = {name: {**each, "std": each["std"] * before["target"]["factor"]} for name, each in REVERSE.items()}
+    assert carry_out(tmp_path, {**job, "quantities": shrunk}).details("y")["U"] == pytest.approx(6.5)
+
+
+def test_the_trials_are_a_histogram(tmp_path: Path) -> None:
+    job = {
+        "quantities": {"x": {"value": "3 mm", "half_width": "1 um"}},
+        "measurands": {"y": {"model": "x", "unit": "um"}},
+    }
+    ran = carry_out(tmp_path, {**job, "monte_carlo": {"trials": 100_000}})
+    table = ran.result.tables["trials"]
+    from_, to, share = (table.numbers(name) for name in ("from", "to", "share"))
+    np.testing.assert_allclose(from_[1:], to[:-1])
+    assert 99.7 < share.sum() <= 100 + 1e-9
+    inside = (from_ > 2999.01) & (to < 3000.99)
+    # of a uniform distribution all bins inside have the share of their width
+    np.testing.assert_allclose(share[inside], 100 * (to - from_)[inside] / 2, rtol=0.2)
 
 
 UNITS_OF_ONE_JOB = [

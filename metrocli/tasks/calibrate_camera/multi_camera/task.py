@@ -9,6 +9,7 @@ from metrocli.adjust.clusters.robust import FROM_RESIDUALS, STRUCTURED, must_suf
 from metrocli.adjust.outcome import Outcome
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.errors import InputError, UndeterminedError
+from metrocli.imageset import ImageSet
 from metrocli.result import Result
 from metrocli.tasks.calibrate_camera.advice import in_words
 from metrocli.tasks.calibrate_camera.multi_camera.diagnosis import adjusted_job
@@ -17,6 +18,7 @@ from metrocli.tasks.calibrate_camera.multi_camera.system import CameraSystem, sy
 from metrocli.tasks.calibrate_camera.settings import FEWEST, Files, OneOfSeveral, Settings
 from metrocli.tasks.job import Job
 from metrocli.tasks.shared.images.adjustment import AdjustedImages, Options, adjust_images, must_converge
+from metrocli.tasks.shared.images.exposures import exposures
 from metrocli.tasks.shared.images.settings import ESTIMATE
 from metrocli.tasks.shared.images.sightings import Needs, sightings
 
@@ -40,7 +42,7 @@ def prepared(job: Job[Settings, Files], cameras: Mapping[str, OneOfSeveral]) -> 
     """Return the adjustment of all cameras with starting values and effects."""
     settings, files = job.settings, job.files
     if files.images is not None:
-        cameras = {name: _sized(name, several, files.images.size) for name, several in cameras.items()}
+        cameras = sized(cameras, files.images)
     sigma = float("nan") if settings.targets == ESTIMATE else 0.0
     sighted = sightings(
         settings, files.observations, files.targets, files.images, Needs(FEWEST[settings.rig], sigma, sigma)
@@ -48,14 +50,23 @@ def prepared(job: Job[Settings, Files], cameras: Mapping[str, OneOfSeveral]) -> 
     return system_of(settings, cameras, sighted).with_effects(job.effects)
 
 
-def _sized(name: str, several: OneOfSeveral, size: tuple[int, int]) -> OneOfSeveral:
-    declared = several.image_size or size
-    if tuple(declared) != tuple(size):
-        raise InputError(
-            f"the images are {size[0]} x {size[1]} px, but cameras: {name}: image_size is {declared[0]} x "
-            f"{declared[1]} px"
-        )
-    return replace(several, image_size=size)
+def sized(cameras: Mapping[str, OneOfSeveral], images: ImageSet) -> dict[str, OneOfSeveral]:
+    """Return the cameras with the size of their images.
+
+    Raises InputError for images of one camera with different sizes, or of another size than the job states.
+    """
+    exposed = exposures({name: several.images for name, several in cameras.items()}, images.names)
+    found = {}
+    for number, (name, several) in enumerate(cameras.items()):
+        own = [image for image, camera in zip(images.names, exposed.camera, strict=True) if camera == number]
+        size = images.size_of(own) if own else several.image_size
+        if size is not None and tuple(several.image_size or size) != tuple(size):
+            width, height = several.image_size or size
+            raise InputError(
+                f"the images are {size[0]} x {size[1]} px, but cameras: {name}: image_size is {width} x {height} px"
+            )
+        found[name] = replace(several, image_size=size)
+    return found
 
 
 def _solved(settings: Settings, system: CameraSystem) -> AdjustedImages:

@@ -16,6 +16,7 @@ from metrocli.tasks.shared.features.ideal import NUMBERS, IdealFeature
 from metrocli.tasks.shared.features.joint import Joint
 from metrocli.tasks.shared.features.minimum_zone import minimum_zone
 from metrocli.tasks.shared.features.wanted import RequestedFeature
+from metrocli.tasks.shared.rounding import rounding_of, without_rounding
 from metrocli.words import listed
 
 FEATURES, POINTS, COVARIANCE = "features", "features_points", "features_covariance"
@@ -59,6 +60,8 @@ def fitted(
     values = np.array([_numbers(fit, points[feature.rows]) for feature, fit in each])
     std = np.sqrt(np.maximum(np.diag(covariance), 0.0)).reshape(values.shape)
     _refuse_vague(each, values, std)
+    exact, rounding = ~std.any(axis=1), rounding_of(points)
+    values[exact] = without_rounding(values[exact], rounding)
     absent = np.array([[name in _WITHOUT[feature.shape] for name in _ALL] for feature, _ in each])
     values[absent], std[absent] = np.nan, np.nan
     table = Table.of(

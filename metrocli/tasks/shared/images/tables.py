@@ -65,8 +65,17 @@ def image_tables(adjusted: AdjustedImages, residuals: Residuals, sighted: Sighte
         "residuals": residual_table(residuals, group),
         "views": rms_table(residuals.values, group, "image", index[view], sighted.images),
         "targets": rms_table(residuals.values, group, "target", index[TARGET], sighted.targets.names),
+        "suspects": suspect_table(adjusted.suspects, group),
         "rejected": adjusted.rejected,
     }
+
+
+def suspect_table(suspects: Suspects, group: Group) -> Table:
+    """Return the image points beyond the outlier bound, the worst first."""
+    order = np.argsort(-suspects.tests)
+    rows = suspects.rows[order].tolist()
+    keys = {f"{name} [text]": [group.observations.keys[name][row] for row in rows] for name in ("image", "target")}
+    return Table.of({**keys, "w": suspects.tests[order]})
 
 
 def image_statistics(adjusted: AdjustedImages, residuals: Residuals, own: Statistics) -> Statistics:
@@ -105,12 +114,9 @@ def suspect_readings(suspects: Suspects, group: Group) -> list[str]:
     """Return a warning that names the readings beyond the outlier bound, worst first; an empty list without any."""
     if not suspects.rows.size:
         return []
-    order = np.argsort(-suspects.tests)
-    keys = group.observations.keys
-    worst = [
-        f"{keys['image'][i]}/{keys['target'][i]} (w = {t:.1f})"
-        for i, t in zip(suspects.rows[order].tolist(), suspects.tests[order].tolist(), strict=True)
-    ]
+    table = suspect_table(suspects, group)
+    rows = zip(table.texts("image"), table.texts("target"), table.numbers("w").tolist(), strict=True)
+    worst = [f"{image}/{target} (w = {w:.1f})" for image, target, w in rows]
     return [beyond_bound(worst, suspects.critical)]
 
 

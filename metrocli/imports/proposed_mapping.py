@@ -1,0 +1,121 @@
+"""A mapping proposed for a table: separator, header, decimal sign and units as the file shows them."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+
+from metrocli import units
+from metrocli.errors import InputError
+from metrocli.frozen import dataclass
+from metrocli.imports.columns import SEPARATORS, cells_of
+from metrocli.imports.lines import TextLines
+
+_NUMBER = re.compile(r"[-+]?(?:[0-9]+[.,']?)+(?:[eE][-+]?[0-9]+)?|[-+]?[.,][0-9]+")
+_IN_BRACKETS = re.compile(r"[\[(]\s*([^\[\]()]+?)\s*[\])]\s*$")
+_LOOKED_AT = 50
+"""Rows that are looked at for their signs"""
+_PIXELS = ("pixel", "pixels", "pix")
+_COMMENTS = ("//", "%", ";", "!", "'", "*")
+_KEYED = {"<": "XML", "{": "JSON", "[": "JSON"}
+
+
+@dataclass(frozen=True)
+class _TailRows:
+    """Rows of equal numbers of cells at the end of a file."""
+
+    separator: str
+    rows: Sequence[tuple[int, Sequence[str]]]
+    """Line and cells of each"""
+    whole: bool
+    """Whether they are all rows of the file"""
+
+    @property
+    def numbers(self) -> int:
+        """How many cells are numbers; a single cell a row, or a single row after others, is no table."""
+        counts = [sum(map(_is_number, cells)) for _, cells in self.rows]
+        table = len(self.rows[-1][1]) > 1 and (self.whole or sum(map(bool, counts)) > 1)
+        return sum(counts) if table else 0
+
+
+def proposed(lines: TextLines) -> str:
+    """Return a mapping file that names what a table looks like, for a person to complete.
+
+    Raises InputError for a file that is no table.
+    """
+    plain = list(lines.without("#"))
+    if not plain:
+        raise InputError([lines.fault("the file has no rows")])
+    if name := _KEYED.get(plain[0][1].strip()[0]):
+        raise InputError([lines.fault(f"this is {name} that no format of `import --from` has", plain[0][0])])
+    found = max((_at_the_end(sign, plain) for sign in SEPARATORS.values()), key=lambda rows: (rows.numbers, rows.whole))
+    if not found.numbers:
+        hint = "expected rows with the same number of cells, separated by comma, semicolon, tab or space"
+        raise InputError([lines.fault("this is no table of numbers", plain[0][0], hint)])
+    first = next(place for place, (_, cells) in enumerate(found.rows) if any(map(_is_number, cells)))
+    data, names = found.rows[first:], found.rows[first - 1][1] if first else ()
+    before = [(n, line) for n, line in plain if n < found.rows[0][0] and not names]
+    mark = _comment([line for _, line in before])
+    decimal, thousands = _signs([cell for _, row in data[:_LOOKED_AT] for cell in row if _is_number(cell)])
+    word = next(name for name, sign in SEPARATORS.items() if sign == found.separator)
+    return "\n".join(
+        [
+            f"# mapping for {lines.file}: name job and input; name each QUANTITY, delete those that no job reads",
+            f"# then: metrocli import {lines.file} --map map.yaml",
+            *([f"# remove lines {before[0][0]} to {before[-1][0]}: no rows"] if before and not mark else []),
+            "job: multilaterate",
+            "input: lengths",
+            f"separator: {word}",
+            f"decimal: {decimal}",
+            *([f"thousands: {thousands}"] if thousands else []),
+            f"header: {found.rows[first - 1][0] if names else 'none'}",
+            *([f'comment: "{mark}"'] if mark else []),
+            "columns:",
+            *_columns(names, data[0][1]),
+        ]
+    )
+
+
+def _at_the_end(separator: str, kept: Sequence[tuple[int, str]]) -> _TailRows:
+    """Return the last rows of a file that have the same number of cells with a separator."""
+    rows = [(number, cells_of(line, separator)) for number, line in kept]
+    width = len(rows[-1][1])
+    other = [place for place, (_, cells) in enumerate(rows) if len(cells) != width]
+    return _TailRows(separator, rows[other[-1] + 1 :] if other else rows, not other)
+
+
+def _signs(numbers: Sequence[str]) -> tuple[str, str]:
+    """Return the names of the decimal sign of numbers, and of the sign that groups their digits, if there is one."""
+    comma = any(re.search(r",[0-9]*$", number) for number in numbers)
+    group, name = (r"\.", "point") if comma else (",", "comma")
+    grouped = any(re.match(rf"[-+]?[0-9]{{1,3}}({group}[0-9]{{3}})+(?![0-9{group}])", number) for number in numbers)
+    return "comma" if comma else "point", name if grouped and (
+        comma or any("," in number for number in numbers)
+    ) else ""
+
+
+def _comment(lines: Sequence[str]) -> str:
+    """Return the sign with which all these lines begin, nothing where they differ."""
+    return next((mark for mark in _COMMENTS if lines and all(line.lstrip().startswith(mark) for line in lines)), "")
+
+
+def _columns(names: Sequence[str], sample: Sequence[str]) -> Iterator[str]:
+    """Yield the line of each column: text has no unit, a number the one that its name states, else mm."""
+    for place, cell in enumerate(sample, 1):
+        name = names[place - 1] if names else ""
+        source = f"{{column: {place}, unit: {_unit(name) or 'mm'}}}" if _is_number(cell) else f"{{column: {place}}}"
+        said = "" if not _is_number(cell) or _unit(name) else "; the file states no unit"
+        yield f"  QUANTITY{place}: {source}  # {f'{name}, ' if name else ''}e.g. {cell}{said}"
+
+
+def _is_number(cell: str) -> bool:
+    return _NUMBER.fullmatch(cell) is not None
+
+
+def _unit(name: str) -> str:
+    """Return the unit that the name of a column ends with, such as "X [mm]", "Run 1 (um)" or "x_mm"; else nothing."""
+    match = _IN_BRACKETS.search(name)
+    symbol = match[1] if match else name.rpartition("_")[2]
+    plain = units.plain_symbol(symbol) if symbol else ""
+    known = {unit.symbol for dimension in units.DIMENSIONS.values() for unit in dimension.units}
+    return "px" if plain.lower() in _PIXELS else plain if plain in known else ""

@@ -1,0 +1,1 @@
+"""Figures of uncertainty budgets: contributors, trials, and the decision."""
