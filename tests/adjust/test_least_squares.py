@@ -167,6 +167,7 @@ def test_statistics(make: str) -> None:
     assert solution.conditions == 0
 
 
+@pytest.mark.slow
 def test_scatter_of_repeated_measurements_is_the_covariance() -> None:
     """Chi-square of the errors of 60 repeats against the claimed covariance, lens and one view together."""
     from simulated.camera import LENS

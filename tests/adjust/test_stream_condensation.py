@@ -34,6 +34,7 @@ def test_nothing_is_lost(n: int) -> None:
     assert len(few.x) <= 30
 
 
+@pytest.mark.slow
 def test_the_values_are_uncorrelated_with_the_weights_given() -> None:
     rng = np.random.default_rng(1)
     x = np.sort(rng.beta(0.5, 2.0, 200))

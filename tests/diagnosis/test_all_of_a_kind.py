@@ -58,6 +58,7 @@ def measured(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[np.nd
     return write
 
 
+@pytest.mark.slow
 def test_a_list_that_is_uncertain_throughout_is_one_finding(
     measured: Callable[[np.ndarray, int], Path], metrocli: Metrocli
 ) -> None:
@@ -102,6 +103,7 @@ def test_few_moved_targets_are_named_one_by_one(
     assert sorted(tuple(one["where"].values()) for one in data["effects"]) == sorted((f"T{at}",) for at in places)
 
 
+@pytest.mark.slow
 def test_a_list_stretched_in_x_is_named_and_its_change_is_that_of_the_adjustment(
     measured: Callable[[np.ndarray, int], Path], metrocli: Metrocli
 ) -> None:

@@ -259,6 +259,7 @@ def test_what_cannot_be_diagnosed_is_refused(text: str, code: int, words: str, j
     assert (ran.code, words in ran.err) == (code, True)
 
 
+@pytest.mark.slow
 def test_beside_a_very_large_effect_the_next_is_named_too_and_the_extended_job_is_clean(
     folder: Path, metrocli: Metrocli
 ) -> None:
@@ -401,6 +402,7 @@ def test_a_wrong_sigma_of_known_points_is_told_as_that(
         assert abs(np.log(apart["ratio"] * stated / true)) < np.log(1.3)
 
 
+@pytest.mark.slow
 def test_a_gain_that_is_small_beside_other_errors_is_told_as_that(folder: Path, metrocli: Metrocli) -> None:
     """Points known to 20 um are predicted to that, with the effect and without; the score has all their readings."""
     told = metrocli("diagnose", known(folder, 0.02, 0.02, name="dead-path-drift")).out
@@ -420,6 +422,7 @@ def test_known_points_are_no_hindrance_to_what_tells_two_names_apart(folder: Pat
     assert data["verdict"] == "indistinct" and data["separate_by"]
 
 
+@pytest.mark.slow
 def test_a_wrong_known_value_is_found_as_a_change_of_it(folder: Path, metrocli: Metrocli) -> None:
     job = write(folder, measured())
     job.write_text(job.read_text() + "effects: [{name: tracer-scale, tracer: T1, scale: 5 ppm}]\n")
@@ -558,6 +561,7 @@ def test_a_status_has_a_size_and_compares_it_with_the_usual_sizes(folder: Path, 
         assert one["hides"]["power"] == 0.95
 
 
+@pytest.mark.slow
 def test_the_exit_code_is_0_whatever_the_verdict_unless_clean_is_required(folder: Path, metrocli: Metrocli) -> None:
     job = write(folder, measured("dead-path-drift", 30.0))
     assert metrocli("multilaterate", job).code == 6  # doubtful
@@ -584,6 +588,7 @@ def test_a_limit_is_a_time(folder: Path, metrocli: Metrocli, limit: str) -> None
     assert (ran.code, "--limit" in ran.err) == (2, True)
 
 
+@pytest.mark.slow
 def test_the_diagnosis_is_kept_beside_the_result(folder: Path, metrocli: Metrocli) -> None:
     job, kept = write(folder, measured()), Path("results/points.diagnosis.json")
     assert metrocli("multilaterate", job, "--quiet").code == 0
@@ -612,6 +617,7 @@ def test_the_first_answer_names_what_explains_most(folder: Path, metrocli: Metro
     assert refused.code == 2 and "--quick is the first answer alone" in refused.err
 
 
+@pytest.mark.slow
 def test_a_terminal_shows_the_first_answer_while_the_rest_is_computed(
     folder: Path, metrocli: Metrocli, monkeypatch: pytest.MonkeyPatch
 ) -> None:

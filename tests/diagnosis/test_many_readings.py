@@ -97,6 +97,7 @@ def only(m: lengths.Measurement, points: np.ndarray[tuple[int], np.dtype[np.intp
     return replace(m, points=m.points[points], nominal=m.nominal[points], point=number, **own)
 
 
+@pytest.mark.slow
 def test_of_a_network_that_is_too_large_a_part_of_the_points_is_diagnosed(monkeypatch: pytest.MonkeyPatch) -> None:
     m = lengths.measurement(np.random.default_rng(5), 700)
     m = replace(m, length=m.length + lengths.signature("dead-path-drift", 1, {"rate": 1e-6})(m))

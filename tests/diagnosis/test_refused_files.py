@@ -69,6 +69,7 @@ def test_a_mirrored_list_is_refused(network: Path, metrocli: Callable[..., objec
     assert "write y with the other sign" in ran.err
 
 
+@pytest.mark.slow
 def test_gross_errors_alone_are_no_wrong_heading(network: Path, metrocli: Callable[..., object]) -> None:
     rows = Path("lengths.csv").read_text().splitlines()
     for at in range(5, len(rows), 9):
@@ -99,6 +100,7 @@ def test_each_correction_undoes_its_mistake() -> None:
     assert stacked["x_um, y_um and z_um are in mm"] == pytest.approx(1000 * np.asarray([columns[n] for n in "xyz"]))
 
 
+@pytest.mark.slow
 def test_poses_in_metres_under_millimetres_are_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, metrocli: Callable[..., object]
 ) -> None:

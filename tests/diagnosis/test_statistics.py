@@ -299,6 +299,7 @@ def test_in_noise_the_levels_are_what_they_say(draws: int, most: int) -> None:
     assert named <= most
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("noisier", [False, True])
 def test_a_noisier_tracer_is_found(noisier: bool) -> None:
     found = []

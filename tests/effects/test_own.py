@@ -252,6 +252,7 @@ def test_diagnose_names_it_and_the_extended_job_estimates_it(shop: Path, capsys:
     assert any(one.path.endswith("lab.yaml") for one in record.inputs)
 
 
+@pytest.mark.slow
 def test_a_scan_is_refined_between_its_values(shop: Path, capsys: pytest.CaptureFixture[str]) -> None:
     wave = """define:
   - {name: belt, acts_on: length, adds: "a*sin(2*pi*t/p) + b*cos(2*pi*t/p)", where: [tracer],
@@ -276,6 +277,7 @@ FAST = """define:
 """
 
 
+@pytest.mark.slow
 def test_a_fast_wave_between_two_values_of_a_coarse_scan_is_found_once(
     shop: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -447,6 +449,7 @@ def test_the_examples_of_the_page_are_definitions() -> None:
         assert faults_of("define:\n" + "\n".join(text), kind) == []
 
 
+@pytest.mark.slow
 def test_an_effect_without_a_value_at_a_reading_is_not_tested_and_the_others_are(
     metrocli: Callable[..., Any], shop: Path
 ) -> None:

@@ -104,6 +104,7 @@ def test_a_definition_for_another_kind_lacks_no_column(hall: Path, metrocli: Met
     assert own["multilaterate"] == ["zero-error"]
 
 
+@pytest.mark.slow
 def test_sizes_without_a_dimension_are_told_in_the_unit_of_their_definition(hall: Path, metrocli: Metrocli) -> None:
     lengths = hall.parent.parent / "data" / "lengths.csv"
     head, *rows = [line for line in lengths.read_text().splitlines() if not line.startswith("#")]

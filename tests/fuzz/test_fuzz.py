@@ -18,6 +18,7 @@ def test_no_mutated_project_ends_in_a_traceback() -> None:
     assert fuzz.campaign(60, seed=18, most=30, names=SMALL) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fault", ["traceback", "endless", "memory"])
 def test_the_campaign_sees_a_fault(fault: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A command that raises, that never ends, or that takes all memory is a finding."""

@@ -41,6 +41,7 @@ LOOKS: dict[str, tuple[Callable[[int], Seen], tuple[str, ...]]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", LOOKS)
 def test_the_start_is_near_and_the_adjustment_gets_there(name: str) -> None:
     make, free = LOOKS[name]
@@ -85,6 +86,7 @@ def test_five_targets_in_space_do_not_tell_a_focal_length() -> None:
     assert start(scene(seen), CENTRE, None, 2000.0)[0] == 2000.0
 
 
+@pytest.mark.slow
 def test_five_targets_in_space_give_poses_where_the_lens_is_known() -> None:
     right = 0
     for seed in range(8):

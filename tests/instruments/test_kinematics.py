@@ -110,6 +110,7 @@ LINKS = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "link", "of", "size"), LINKS, ids=[one[0] for one in LINKS])
 def test_derivatives_are_those_of_the_values(kind: str, link, of: tuple[float, float], size: int) -> None:  # type: ignore[no-untyped-def]
     rng = np.random.default_rng(4)

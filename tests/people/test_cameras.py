@@ -7,6 +7,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 Case = Callable[[str], Path]
 Metrocli = Callable[..., Any]
 
@@ -28,6 +30,7 @@ def test_rational_terms_of_boards_in_the_middle(case: Case, metrocli: Metrocli) 
     assert ran.code == 6 and "readings span 6 % of the image, up to 23 % of its radius" in ran.out
 
 
+@pytest.mark.slow
 def test_the_older_layout_of_charuco_boards(case: Case, metrocli: Metrocli) -> None:
     """Boards made before OpenCV 4.6 with an even number of rows of squares begin with a marker."""
     case("07-charuco-legacy")

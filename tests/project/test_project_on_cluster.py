@@ -125,6 +125,7 @@ def test_large_files_travel_without_advice_to_programmers(
     assert (done.code, done.out.count(": ran")) == (0, 1), done.err
 
 
+@pytest.mark.slow
 def test_the_results_are_those_of_this_computer(
     cluster: tuple[Path, list[subprocess.Popen[bytes]]], project: Path, metrocli: Callable[..., Any], tmp_path: Path
 ) -> None:

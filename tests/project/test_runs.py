@@ -427,6 +427,7 @@ def test_a_process_that_dies_costs_only_that_its_jobs_are_computed_again(project
     assert {name: one.exit_code for name, one in found.items()} == {"jobs/a.yaml": 0, "jobs/c.yaml": 0}, found
 
 
+@pytest.mark.slow
 def test_a_job_that_ends_its_process_fails_alone(
     project: Path, metrocli: Callable[..., Any], straight_line: str
 ) -> None:

@@ -56,6 +56,7 @@ def test_without_the_cause_a_law_makes_it_clean(hall: Path, capsys: pytest.Captu
     assert shift["value"] == pytest.approx(1e3 * np.linalg.norm(after - before, axis=1).max(), rel=1e-3)
 
 
+@pytest.mark.slow
 def test_a_law_with_which_the_job_cannot_be_adjusted_ends_it(
     hall: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -184,6 +184,7 @@ def test_every_board_is_read_from_the_images(side: str, tmp_path: Path, metrocli
 CIRCLES = "{type: circles, columns: 10, rows: 8, pitch: 25 mm, diameter: 15 mm}"
 
 
+@pytest.mark.slow
 def test_circles_are_in_the_order_of_the_grid(tmp_path: Path, metrocli: Metrocli) -> None:
     """On image00001 cv2.findCirclesGrid gives a wrong order; here it is right, or the image is left out with a word."""
     from metrocli.formats import hdf5

@@ -72,6 +72,7 @@ def _points() -> Any:
     return Columns((Column("target", TEXT), *(Column(axis, "length") for axis in "xyz")), ("target",), "points")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", PUBLISHED)
 def test_interior_orientation_is_the_published_one(name: str, found: Found) -> None:
     value, std = PUBLISHED[name]

@@ -55,6 +55,7 @@ def test_a_part_without_an_estimate_is_left_out_and_few_parts_have_no_chart() ->
     assert series_of(table(VALUES[:1])) == ()
 
 
+@pytest.mark.slow
 def test_the_page_of_a_project_has_the_chart(
     tmp_path: Path, metrocli: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:

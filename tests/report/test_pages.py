@@ -106,6 +106,7 @@ def test_a_page_fetches_nothing_and_is_well_formed(result: Result) -> None:
     assert len(text) < 1_500_000 and "\u2028" not in text
 
 
+@pytest.mark.slow
 def test_the_script_is_the_one_that_the_policy_allows() -> None:
     import base64
     import hashlib
@@ -214,6 +215,7 @@ def test_the_least_overstock_is_named() -> None:
     )
 
 
+@pytest.mark.slow
 def test_notes_are_broken_into_lines_and_their_tables_are_not() -> None:
     text = result_page(Content(replace(lens(), notes=("a sentence", "x  y\n1  2")), RECORD, "r.h5"))
     assert '<div class="notes"><p>a sentence</p><pre tabindex="0">x  y\n1  2</pre></div>' in text
@@ -301,6 +303,7 @@ def test_the_diagnosis_decides_what_is_next(data: dict[str, Any], words: list[st
     assert "d.json is the diagnosis of another job, or of other inputs" in other and words[0] not in other
 
 
+@pytest.mark.slow
 def test_without_a_diagnosis_of_its_own_a_diagnosis_is_next() -> None:
     text = page_of(lens(), diagnosis=PrintedDiagnosis({"verdict": "clean"}, "d.json", False)).text
     assert "Next: Check the model by metrocli diagnose" in text
@@ -435,6 +438,7 @@ def test_what_is_to_be_typed_is_marked_in_doubts_too() -> None:
     assert "`" not in page.text
 
 
+@pytest.mark.slow
 def test_figures_of_pixels_have_the_theme_of_the_screen(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("metrocli.report.pictures.LARGEST", 0)
     page = page_of(results.network())
@@ -445,6 +449,7 @@ def test_figures_of_pixels_have_the_theme_of_the_screen(monkeypatch: pytest.Monk
     assert len(set(links)) == len(links) and all(link.startswith("data:image/png;base64,") for link in links)
 
 
+@pytest.mark.slow
 def test_the_worst_reading_is_tested_as_on_the_terminal(tmp_path: Path, metrocli: Callable[..., Any]) -> None:
     """A declared noise that is too small makes all |w| large: those of a result are relative to the other readings."""
     assert metrocli("init", tmp_path / "p", "--sample", "laboratory-effects").code == 0

@@ -59,6 +59,7 @@ def test_our_values_are_those_of_the_sample(tmp_path: Path) -> None:
         )
 
 
+@pytest.mark.slow
 def test_our_errors_of_a_machine_are_those_of_the_benchmark() -> None:
     """Three machines without noise, on the path of the sample: before and after, the largest of the three."""
     path = csv.read(SAMPLES / "otf-tracker" / "data" / "path.csv", PATH)

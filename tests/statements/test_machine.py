@@ -93,6 +93,7 @@ def entries(fit: Fit, axis: int, row: int) -> tuple[Array, Array]:
     return by @ fit.unknowns[:93], np.sqrt(np.diag(covariance))
 
 
+@pytest.mark.slow
 def test_straightness_and_squareness(report: str) -> None:
     """EXY 61.98 um, largest std 0.89 um; C0Y 0.0351 mrad, std 2.6 urad."""
     fit = adjusted()

@@ -64,6 +64,7 @@ def test_a_part_of_the_grid_is_enough() -> None:
     assert {name[3:] for name in found.targets} == {f"c{column:02d}" for column in range(2, 8)}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("pattern", "words"),
     [

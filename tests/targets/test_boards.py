@@ -43,6 +43,7 @@ def test_every_type_has_its_module() -> None:
     assert set(MODULES) == set(TYPES)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pattern", [CHESS, CHARUCO, APRIL])
 def test_corners_rest_on_the_edges(pattern: Pattern) -> None:
     """Also pins the pixel convention: half a pixel would be 500 times the limit."""
@@ -57,6 +58,7 @@ def test_corners_rest_on_the_edges(pattern: Pattern) -> None:
     assert abs((error * away).sum() / (away**2).sum()) * CAMERA.f < 0.005, "focal length would be off"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pattern", [CHESS, CHARUCO, APRIL])
 def test_corners_know_their_scatter(pattern: Pattern) -> None:
     image, true = seen(pattern, np.random.default_rng(2), Look(noise=3.0))
@@ -85,6 +87,7 @@ def test_a_part_of_a_real_chessboard_is_not_taken_for_the_board() -> None:
     assert found.reason == "no chessboard: the board has more than 8 x 6 inner corners"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pattern", [CIRCLES, SHIFTED])
 def test_circles_have_their_names(pattern: Pattern) -> None:
     image, true = seen(pattern, np.random.default_rng(3), Look(noise=2.0))
@@ -94,6 +97,7 @@ def test_circles_have_their_names(pattern: Pattern) -> None:
     assert np.isfinite(found.axes).all() and np.isfinite(found.sigma).all()
 
 
+@pytest.mark.slow
 def test_a_chessboard_upside_down_keeps_its_names() -> None:
     rng = np.random.default_rng(4)
     _, xyz = pattern_points(CHESS)
@@ -106,6 +110,7 @@ def test_a_chessboard_upside_down_keeps_its_names() -> None:
         assert np.abs(found.uv - CAMERA.project(xyz @ rotation.T + origin)).max() < 0.01
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pattern", [CHESS, CIRCLES, SHIFTED])
 def test_points_in_any_order_are_put_into_theirs(pattern: Pattern) -> None:
     rng = np.random.default_rng(5)
@@ -184,6 +189,7 @@ def test_real_chessboards(files: str, pattern: Pattern, rms: float, fx: float) -
     assert by_view.max() < 2.5 * np.median(by_view)
 
 
+@pytest.mark.slow
 @real
 def test_real_circles_where_opencv_gives_a_wrong_order() -> None:
     pattern = Pattern("circles", 10, 8, 25.0, diameter=15.0)

@@ -121,6 +121,7 @@ def test_a_code_seen_twice_is_left_out_and_told() -> None:
     assert "5 occur" in found.reason
 
 
+@pytest.mark.slow
 def test_no_code_in_noise_or_chessboards_or_dots() -> None:
     rng = np.random.default_rng(11)
     pictures = [rng.integers(0, 256, (400, 400)).astype(np.uint8)]
@@ -144,6 +145,7 @@ def test_no_code_in_real_images() -> None:
         assert len(find(RINGS, cv2.imread(str(path), cv2.IMREAD_GRAYSCALE))) == 0, path
 
 
+@pytest.mark.slow
 def test_a_dot_among_thousands_of_specks_is_found_and_few_of_them_are_fitted(monkeypatch: pytest.MonkeyPatch) -> None:
     rng = np.random.default_rng(5)
     sheet = np.full((600, 800), 100.0)

@@ -150,6 +150,7 @@ def test_u_of_an_estimated_noise_has_the_t_factor(placed: Result) -> None:
     assert found[1].k == pytest.approx(2.13, abs=0.005)
 
 
+@pytest.mark.slow
 def test_a_true_machine_is_inside_and_a_planted_wrong_point_is_found(machine: sim.Machine) -> None:
     share = []
     for seed in range(8):

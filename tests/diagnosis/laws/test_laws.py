@@ -84,6 +84,7 @@ def found() -> Diagnosis:
     return diagnosed(SIZE, 4)
 
 
+@pytest.mark.slow
 def test_a_wave_of_one_tracer_is_found_with_its_period_and_size(found: Diagnosis) -> None:
     assert found.verdict is Verdict.UNEXPLAINED
     law = found.law
@@ -134,6 +135,7 @@ def test_folds_that_travel_give_the_same_law(found: Diagnosis) -> None:
     assert json.dumps(as_data(there)) == json.dumps(as_data(found))
 
 
+@pytest.mark.slow
 def test_an_interrupted_search_has_the_best_that_it_had_found(found: Diagnosis) -> None:
     asked = []
 

@@ -293,6 +293,7 @@ def test_an_effect_that_the_readings_cannot_have_is_refused_with_the_reason() ->
         revealing(diagnosis.job, diagnosis.design, "moved-point:P1", 5)
 
 
+@pytest.mark.slow
 def test_json_of_next(tmp_path: Path, metrocli: Metrocli, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     job = write(Path(), network())

@@ -275,6 +275,7 @@ def test_simulated_readings_have_the_errors_of_the_machine(
     assert wrong @ np.linalg.solve(covariance, wrong) < 22.5
 
 
+@pytest.mark.slow
 def test_two_parts_on_one_machine_share_the_errors_of_its_calibration(
     tmp_path: Path, metrocli: Metrocli, machine: sim.Machine, result: Result
 ) -> None:

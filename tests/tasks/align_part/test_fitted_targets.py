@@ -115,6 +115,7 @@ def test_what_the_pose_owes_to_its_targets_is_how_they_move_it() -> None:
     assert found.tables["shared"].texts("input") == ["targets"]
 
 
+@pytest.mark.slow
 def test_poses_from_drawn_targets_scatter_as_stated() -> None:
     result = fit_result()
     points, shared = result.tables["targets"].stacked(("x", "y", "z")), result.arrays["targets_common"]

@@ -48,6 +48,7 @@ def test_a_spindle_that_is_never_tilted_grows_as_the_part_drifts(tmp_path: Path,
     assert abs(rate["value"] + 0.02 / 60) < 3 * rate["std"]
 
 
+@pytest.mark.slow
 def test_growth_that_an_estimated_drift_absorbs_is_not_testable(tmp_path: Path, metrocli: Metrocli) -> None:
     job = small_jobs.turned(tmp_path)
     job.write_text(f"{job.read_text()}effects: [{{name: part-drift}}]\n")

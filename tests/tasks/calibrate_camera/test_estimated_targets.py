@@ -57,6 +57,7 @@ def found() -> Result:
     return calibrated(1, targets="estimate")
 
 
+@pytest.mark.slow
 def test_the_camera_is_right_and_the_uncertainty_true() -> None:
     scores = []
     for seed in range(12):
@@ -190,6 +191,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not SB.parent.is_dir(), reason=f"no measured data at {SB.parent}")
 def test_a_real_board_as_opencv_determines_it(folder: Path, metrocli: Metrocli) -> None:
     """OpenCV's calibrateCameraRO (Strobl and Hirzinger 2011) fixes three coordinates more; the camera is the same."""

@@ -69,6 +69,7 @@ def test_errors_are_measured_minus_calibrated_and_leave_the_network_as_it_is(
     assert "less than the guideline asks for" in ran.out
 
 
+@pytest.mark.slow
 def test_the_uncertainty_is_the_scatter_of_repeated_readings(tmp_path: Path, metrocli: Metrocli) -> None:
     """More noise of the same size is added to the readings, again and again; ends are correlated by the poses."""
     pairs = [("T1", "T9"), ("T0", "T14"), ("T2", "T7"), ("T10", "T11"), ("T3", "T13"), ("T0", "T1")]

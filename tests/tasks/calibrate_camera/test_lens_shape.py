@@ -147,6 +147,7 @@ def test_a_job_with_a_shape_of_stated_size_has_it(tmp_path: Path, metrocli: Metr
     )
 
 
+@pytest.mark.slow
 def test_a_fisheye_given_as_a_pinhole_is_named_and_extended(tmp_path: Path) -> None:
     rng, rows = np.random.default_rng(4), ["image,target,u_px,v_px"]
     for number in range(9):

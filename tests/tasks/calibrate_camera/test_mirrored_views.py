@@ -51,6 +51,7 @@ def wrong_views(problem: CameraProblem, truth: np.ndarray) -> list[str]:
     return [f"I{i}" for i in np.flatnonzero(angle > 0.4)]
 
 
+@pytest.mark.slow
 def test_views_whose_tilt_may_be_mirrored_are_named() -> None:
     rng = np.random.default_rng(3)
     wrong, told = 0, 0

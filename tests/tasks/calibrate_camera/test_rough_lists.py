@@ -63,6 +63,7 @@ def test_the_lens_is_found(seed: int, rough: float) -> None:
     assert not result.doubts
 
 
+@pytest.mark.slow
 def test_a_start_that_failed_is_doubtful_though_the_noise_is_estimated() -> None:
     """A tenth of the size of the part is too rough here: sigma0 alone would pass for a noise of 100 px."""
     result = calibrated(121, 60.0)

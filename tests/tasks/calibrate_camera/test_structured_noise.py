@@ -134,6 +134,7 @@ def test_diagnose_proposes_it_where_structure_is_left(
     assert "include it" in again and "`noise: structured`" not in again
 
 
+@pytest.mark.slow
 def test_diagnose_does_not_propose_it_without_structure(
     measured: Callable[[int, float], None], metrocli: Metrocli
 ) -> None:

@@ -58,6 +58,7 @@ def write(
     return folder / "job.yaml"
 
 
+@pytest.mark.slow
 def test_the_principal_point_of_turned_images_is_found_and_estimated(tmp_path: Path, metrocli: Metrocli) -> None:
     job = write(tmp_path, [0.0, np.pi / 2], SHIFT)
     data = json.loads(metrocli("diagnose", job, "--json").out)
@@ -86,6 +87,7 @@ def test_where_no_image_is_turned_in_steps_of_90_degrees_the_effect_has_no_place
     assert not [one for one in data["candidates"] if one["name"] == "turned-principal-point" and one["where"]]
 
 
+@pytest.mark.slow
 def test_a_lens_that_was_focused_anew_between_two_series_is_found(tmp_path: Path, metrocli: Metrocli) -> None:
     def name(view: int) -> str:
         return f"monday_{view}" if view < 7 else f"tuesday_{view}"

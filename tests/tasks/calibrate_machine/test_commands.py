@@ -75,6 +75,7 @@ def made(folder: Path, text: str, metrocli: Metrocli) -> Path:
     return job
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("text", [STANDSTILL, FLIGHT, LINES], ids=["standstill", "on-the-fly", "six-dof"])
 def test_what_is_simulated_is_found_again(folder: Path, text: str, metrocli: Metrocli) -> None:
     job = made(folder, text, metrocli)

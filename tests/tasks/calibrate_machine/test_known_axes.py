@@ -48,6 +48,7 @@ def changed(job: Path, old: str, new: str, name: str) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_the_uncertainty_of_the_linear_axes_is_in_that_of_the_rotary_ones(folder: tuple[Path, sim.Machine]) -> None:
     job, machine = folder
     found = result(job)

@@ -60,6 +60,7 @@ def test_without_noise_nothing_is_left(machine: sim.Machine, vertices: Array) ->
     assert result.statistics["rms"]["mm"] < 1e-6
 
 
+@pytest.mark.slow
 def test_with_noise_the_prediction_is_right_and_its_uncertainty_honest(machine: sim.Machine, vertices: Array) -> None:
     scores, sigma0 = [], []
     for seed in range(6):
@@ -125,6 +126,7 @@ def test_a_beam_break_in_the_middle_is_found_cut_and_said(machine: sim.Machine, 
     assert result.statistics["sigma0"] == pytest.approx(1.0, abs=0.1)
 
 
+@pytest.mark.slow
 def test_a_tracker_that_looks_elsewhere_takes_no_other_points_with_it(machine: sim.Machine, vertices: Array) -> None:
     """Wherever it looks for how long: what is measured before and after stays on its leg."""
     flight = sim.flight(machine, vertices, np.random.default_rng(38), spacing=4.0)
@@ -270,6 +272,7 @@ def test_a_leg_without_points_is_said(machine: sim.Machine, vertices: Array) -> 
     assert any(line == "legs without points, of 30: 12" for line in result.warnings)
 
 
+@pytest.mark.slow
 def test_the_start_needs_no_hint_of_where_the_tracker_stands(vertices: Array) -> None:
     """Any turn, any place, and a closed path, whose start and end are one point."""
     closed = np.concatenate([vertices, vertices[:1]])

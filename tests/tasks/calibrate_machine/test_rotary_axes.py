@@ -220,6 +220,7 @@ def test_a_periodic_axis_takes_any_turn(tmp_path: Path) -> None:
     assert solved(job).solution.cost == pytest.approx(first.cost, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_the_prediction_is_verified_by_points_on_the_workpiece(tmp_path: Path) -> None:
     """Points of another tool, in a frame of their own, with noise as stated."""
     from metrocli.formats import csv

@@ -17,6 +17,7 @@ from metrocli.record import Record
 RUNS = 3
 
 
+@pytest.mark.slow
 def test_lengths_and_standstill_agree_within_their_joint_uncertainty() -> None:
     """Three machines: 207 degrees of freedom of the tables, and as many of the volume."""
     found = [agreement_of(*twice(seed, points=120)) for seed in range(100, 100 + RUNS)]

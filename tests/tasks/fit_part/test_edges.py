@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 from geometry.test_triangles import SIZE, block
 from simulated.castings import Array
 from tasks.fit_part.test_faults import stl
@@ -31,6 +32,7 @@ def beyond_edges() -> Array:
     return np.concatenate(found) + [0.3, -0.2, 0.1]
 
 
+@pytest.mark.slow
 def test_a_point_beyond_an_edge_holds_the_part_with_the_uncertainty_of_simulated_fits(
     tmp_path: Path, metrocli: Metrocli
 ) -> None:

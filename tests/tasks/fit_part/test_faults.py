@@ -74,6 +74,7 @@ def test_a_surface_with_the_material_on_the_wrong_side(
     assert ran.code in (3, 4) and f"the points of {name} lie on the wrong side" in ran.err
 
 
+@pytest.mark.slow
 def test_all_surfaces_with_the_material_on_the_wrong_side(tmp_path: Path, metrocli: Metrocli) -> None:
     """No surface differs from the others then: what shows it is that all points are inside."""
     job = casting(2).write(tmp_path)
@@ -87,6 +88,7 @@ def test_all_surfaces_with_the_material_on_the_wrong_side(tmp_path: Path, metroc
     assert ran.code == 4 and "the points of every surface lie on the wrong side" in ran.err, ran.err
 
 
+@pytest.mark.slow
 def test_points_inside_of_a_mesh(tmp_path: Path, metrocli: Metrocli) -> None:
     job = points_on_block(tmp_path, count=120)
     corners = block(2).corners

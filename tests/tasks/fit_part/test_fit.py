@@ -109,6 +109,7 @@ def test_most_is_the_largest_least_overstock_and_its_duals_prove_it(tmp_path: Pa
         assert abs(duals @ change) / (2 * step) < 1e-4
 
 
+@pytest.mark.slow
 def test_the_duals_are_the_price_of_the_minimum(tmp_path: Path, metrocli: Metrocli) -> None:
     """The sum of the duals is what half the mean square of the variation grows by per mm of minimum."""
     one = casting(11)
@@ -197,6 +198,7 @@ def test_targets_are_carried_into_the_part_frame(tmp_path: Path, metrocli: Metro
     assert np.allclose(table.numbers("sigma_y") ** 2, np.diag(joint)[1::3])
 
 
+@pytest.mark.slow
 def test_chips_and_flash_are_left_out_and_named(tmp_path: Path, metrocli: Metrocli) -> None:
     one = casting(17)
     clean = pose_of(fitted(one.write(tmp_path), metrocli))
@@ -249,6 +251,7 @@ def test_infeasible_castings_are_refused_with_what_contradicts(tmp_path: Path, m
         assert not rest or least(rest) >= 0.5 - 1e-6
 
 
+@pytest.mark.slow
 def test_all_contradictions_are_listed(tmp_path: Path, metrocli: Metrocli) -> None:
     one = casting(18, less=dict.fromkeys(("left", "right"), -6.0) | dict.fromkeys(("bottom", "top"), -5.0))
     ran = metrocli("fit-part", one.write(tmp_path))
@@ -266,6 +269,7 @@ def test_all_contradictions_are_listed(tmp_path: Path, metrocli: Metrocli) -> No
     assert ran.err.count("beside them") == 1 and least(every - {"left", "bottom"}) > 0.5
 
 
+@pytest.mark.slow
 def test_chances_are_those_of_the_minimum_that_is_wanted(tmp_path: Path, metrocli: Metrocli) -> None:
     """The aim `most` holds the points far above it."""
     result = fitted(casting(13).write(tmp_path, aim="most"), metrocli)
@@ -278,6 +282,7 @@ def test_chances_are_those_of_the_minimum_that_is_wanted(tmp_path: Path, metrocl
     assert high.tables["overstock"].numbers("below")[held] == pytest.approx(0.1587, abs=1e-3)  # one sigma above
 
 
+@pytest.mark.slow
 def test_the_minimum_that_would_do_does(tmp_path: Path, metrocli: Metrocli) -> None:
     one = casting(18, less={"left": -5.0, "right": -2.0})
     job = one.write(tmp_path, minimum=1.5)

@@ -62,6 +62,7 @@ def stock_of(points: Array) -> Stock:
     return Stock(nominal, points, nominal.nearest(points))
 
 
+@pytest.mark.slow
 def test_the_lowest_points_may_all_lie_on_one_side() -> None:
     """They alone would leave unlimited overstock."""
     points, sides = on_block(3.0, 0.05, 2.0)
@@ -74,6 +75,7 @@ def test_the_lowest_points_may_all_lie_on_one_side() -> None:
     assert {tuple(one) for one in sides[duals > 1e-9]} >= {(2, 0), (2, 1)}
 
 
+@pytest.mark.slow
 def test_points_inside_contradict_each_other_on_opposite_sides() -> None:
     points, sides = on_block(-3.0, 0.2, 0.2)
     stock = stock_of(points)

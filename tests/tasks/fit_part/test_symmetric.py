@@ -38,6 +38,7 @@ def job_of(folder: Path, faces: list[str], aim: str, *lines: str, tall: float = 
     return folder / "job.yaml"
 
 
+@pytest.mark.slow
 def test_points_that_are_equally_low_are_counted(tmp_path: Path, metrocli: Metrocli) -> None:
     found = fitted(job_of(tmp_path, list(FACES), "most"), metrocli)
     held = int(found.statistics["active"])
@@ -54,6 +55,7 @@ def test_a_point_that_is_as_low_by_chance_takes_no_share() -> None:
     assert exchanged(solved, np.ones(6, dtype=bool)).tolist() == [True] * 4 + [False] * 2
 
 
+@pytest.mark.slow
 def test_what_the_thickness_leaves_free_is_made_even(tmp_path: Path, metrocli: Metrocli) -> None:
     """Only bottom and top limit the overstock: shifts across them, and a turn in their plane, are free."""
     found = fitted(job_of(tmp_path, list(FACES), "most", tall=3.0), metrocli)

@@ -159,6 +159,7 @@ def test_a_pose_held_at_the_minimum_scatters_as_stated_while_its_points_change(
     assert (squares < 12.5916).mean() > 0.85  # 95 % by chi-square with 6 degrees of freedom
 
 
+@pytest.mark.slow
 def test_a_shift_of_all_points_is_a_shift_of_the_pose_in_each_draw(tmp_path: Path) -> None:
     one, part = casting(33), ideal_of(tmp_path)
     stock = Stock(part, one.points, np.array([part.names.index(name) for name in one.surface]))
@@ -197,6 +198,7 @@ def test_the_monte_carlo_check_repeats_the_standard_uncertainties(tmp_path: Path
     assert any("Monte Carlo: 60 of 60 fits" in note and "agree with it" in note for note in result.notes)
 
 
+@pytest.mark.slow
 def test_errors_that_points_share_move_pose_and_targets_together(tmp_path: Path) -> None:
     """Points of a network with a common scale and a bending: targets against fits to points with these errors."""
     one = casting(34)
@@ -252,6 +254,7 @@ def test_exact_points_have_no_uncertainty_and_a_warning(tmp_path: Path, metrocli
     assert all(one.std > 0 for one in result.estimates)
 
 
+@pytest.mark.slow
 def test_the_uncertainty_of_a_mean_overstock_keeps_what_the_points_share(tmp_path: Path) -> None:
     """Independent errors average out over a surface; those of a common shift do not."""
     one = casting(33)

@@ -41,6 +41,7 @@ def covariance(result: Result) -> Array:
     return block_diag(*result.arrays["targets_own"]) + common @ common.T
 
 
+@pytest.mark.slow
 def test_targets_of_a_warm_part_are_those_of_the_cold_one(tmp_path: Path, metrocli: Metrocli) -> None:
     cold = casting(11)
     expected = targets(fitted(cold.write(tmp_path), metrocli))
@@ -53,6 +54,7 @@ def test_targets_of_a_warm_part_are_those_of_the_cold_one(tmp_path: Path, metroc
     assert any("20 degC" in note for note in found.notes)
 
 
+@pytest.mark.slow
 def test_targets_have_the_uncertainty_of_the_growth_in_common(tmp_path: Path, metrocli: Metrocli) -> None:
     """`u(g)^2 D D'` comes to their joint covariance, with D from fits to parts that grew by more and by less."""
     one, h = casting(11), 1e-4

@@ -18,6 +18,7 @@ from metrocli.tasks.multilaterate.settings import Files
 from metrocli.tasks.multilaterate.solve import solve
 
 
+@pytest.mark.slow
 def test_with_five_tracers_a_coin_is_not_tossed() -> None:
     """Where two lengths explain a point as well as each other, both are told and neither is named."""
     net = network(40, 5, seed=3)
@@ -46,6 +47,7 @@ def test_errors_of_2_um_are_put_on_the_right_length(m: int, least: float) -> Non
     assert found.false <= 0.1 + 0.1
 
 
+@pytest.mark.slow
 def test_nothing_is_found_where_nothing_is() -> None:
     """One network in twenty has a suspect by chance."""
     found = blunders.rates(6, 0.0, 30)

@@ -65,6 +65,7 @@ def test_three_absolute_tracers_are_not_enough_where_nothing_is_known() -> None:
         multilaterate.run(multilaterate.TASK.job(settings(measures="absolute"), net.lengths(), net.point_table()))
 
 
+@pytest.mark.slow
 def test_good_layouts_raise_no_alarm() -> None:
     """30 layouts: 4 to 8 tracers around a volume, 15 to 80 points in it."""
     rng = np.random.default_rng(8)

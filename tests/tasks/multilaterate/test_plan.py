@@ -74,6 +74,7 @@ def test_the_measurement_states_what_was_planned(m: int, scale: float | None) ->
     assert lines >= 5
 
 
+@pytest.mark.slow
 def test_the_growth_of_a_part_is_planned_as_it_is_stated() -> None:
     net, part = network(30, 4, seed=2), Part(KnownQuantity(24.0, 0.5), KnownQuantity(12e-6, 1e-6))
     bare, job = settings(), replace(settings(), part=part)
@@ -153,6 +154,7 @@ def test_a_layout_that_cannot_carry_the_answer_is_refused_before_it_is_measured(
     assert "one more tracer" in str(told.value)
 
 
+@pytest.mark.slow
 def test_one_more_tracer_mends_a_plane_of_four_and_nothing_mends_a_line_of_points() -> None:
     with pytest.raises(UndeterminedError, match="would serve best at .98 places tried.:\n  C"):
         planned(on_plane(4))
@@ -217,6 +219,7 @@ def test_many_points_are_compared_by_some_of_them_and_planned_by_all() -> None:
     assert plan.tables["candidates"].numbers("rms") == pytest.approx(rms, rel=0.1)
 
 
+@pytest.mark.slow
 def test_what_a_test_will_not_find_is_told() -> None:
     four, eight = planned(network(30, 4, seed=1)), planned(network(30, 8, seed=1))
     assert any("cannot be identified; a fifth would identify it" in line for line in four.notes)

@@ -23,6 +23,7 @@ from metrocli.tasks.shared.lengths import LengthNoise
 LAYOUTS = 500
 
 
+@pytest.mark.slow
 def test_of_random_layouts() -> None:
     """Points in a volume of any shape, one tracer anywhere in or around it, the mover off by 20 um."""
     rng = np.random.default_rng(0)
@@ -123,6 +124,7 @@ def test_a_large_network_starts_from_some_of_its_points() -> None:
     assert np.sqrt((error**2 / std**2).mean()) == pytest.approx(1.0, abs=0.1)
 
 
+@pytest.mark.slow
 def test_wrong_lengths_do_not_spoil_the_start_of_a_large_network() -> None:
     """Fifty lengths of 25,000 are off by up to 100 mm; the other points stay where they are."""
     net = network(5000, 5, seed=10)

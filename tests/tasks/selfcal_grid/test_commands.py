@@ -261,6 +261,7 @@ def test_diagnosis_of_few_views_sees_what_they_determine(
     assert all(one["hides"]["value"] < 100 for one in hiding if one["where"] != {"ball": "0 0 0"})
 
 
+@pytest.mark.slow
 def test_diagnosis_needs_more_readings_than_unknowns(project: Path, metrocli: Metrocli) -> None:
     rows = (project / "data" / "views.csv").read_text().splitlines()
     (project / "data" / "views.csv").write_text("\n".join(row for row in rows if row[0] not in "23") + "\n")

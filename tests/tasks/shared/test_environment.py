@@ -260,6 +260,7 @@ def test_faults_have_their_place(folder: Path, metrocli: Callable[..., Any], cas
         assert text in ran.err
 
 
+@pytest.mark.slow
 def test_a_simulation_is_read_back_plan_and_diagnose_take_the_air(folder: Path, metrocli: Callable[..., Any]) -> None:
     job = JOB.replace("ENVIRONMENT", FULL.replace("0.5 hPa", "4 hPa"))
     job = job.replace("lengths: lengths.csv", "lengths: new/lengths.csv") + "simulation: {interval: 1 min}\n"

@@ -113,6 +113,7 @@ def test_a_circle_larger_than_its_plane_is_left_out() -> None:
     assert np.isfinite(result.tables["circular"].numbers("G")).all()
 
 
+@pytest.mark.slow
 def test_uncertainty_covers_the_truth() -> None:
     """6 calibrations of one machine: deviations of G and E from the truth in their standard uncertainties."""
     machine = sim.random_machine(np.random.default_rng(8), knots=KNOTS)

@@ -26,6 +26,7 @@ def test_intervals_hold_the_truth(job: str) -> None:
     assert found.distance < KOLMOGOROV
 
 
+@pytest.mark.slow
 def test_an_interval_that_is_too_short_is_noticed() -> None:
     """The same runs with a third less uncertainty stated fail, so that the test above can."""
 

@@ -86,6 +86,7 @@ def part(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "jobs" / "align.yaml"
 
 
+@pytest.mark.slow
 def test_a_wrong_diameter_of_the_sample_is_refused(part: Path, metrocli: Metrocli) -> None:
     ran = metrocli("align-part", part, "--set", CAMERA, "--set", "pattern.diameter=6.3 mm")
     assert ran.code == 3
@@ -110,6 +111,7 @@ output: out.h5
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("diameter", "code"), [("1.5 mm", 0), ("1.65 mm", 3)])
 def test_a_real_print_has_the_size_of_its_data_sheet(
     diameter: str, code: int, tmp_path: Path, metrocli: Metrocli

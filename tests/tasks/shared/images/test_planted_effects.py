@@ -95,6 +95,7 @@ def test_what_an_effect_frees_is_part_of_the_camera(
         assert set(names) <= {row["name"].decode() for row in file[f"effects/{effect}/parameters"][:]}
 
 
+@pytest.mark.slow
 def test_part_is_aligned_with_a_camera_that_has_effects(tmp_path: Path, metrocli: Metrocli) -> None:
     """The covariance of such a camera is that of lens and place; what an effect adds is left behind."""
     (tmp_path / "cmm").mkdir()
