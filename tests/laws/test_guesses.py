@@ -27,7 +27,12 @@ DESCRIBED = ("plots/", "report/", "exports/", "effects.py", "effects/links/", "t
 """What describes results, files and effects, and offers nothing"""
 
 
-def messages(path: Path) -> Iterator[str]:
+@cache
+def messages(path: Path) -> tuple[str, ...]:
+    return tuple(_messages(path))
+
+
+def _messages(path: Path) -> Iterator[str]:
     """Texts of a module but for docstrings, with {} for what is filled in."""
     tree = ast.parse(path.read_text(encoding="utf-8"))
     nodes = list(ast.walk(tree))
