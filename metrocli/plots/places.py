@@ -86,9 +86,9 @@ def _grids(result: Result) -> list[PlottedPoints]:
 
 
 def _volume(result: Result) -> PlottedPoints | None:
-    """Return the error of the first tool on the grid of the volume."""
+    """Return the error of the first tool on the grid of the volume, where X, Y and Z span one."""
     table = result.tables.get("volume")
-    if table is None or "tool" not in table or not len(table):
+    if table is None or not {"tool", *_XYZ} <= set(table) or not len(table):
         return None
     tools = table.columns["tool"]
     rows = np.flatnonzero(tools == tools[0])

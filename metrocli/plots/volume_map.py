@@ -75,7 +75,7 @@ def _table(result: Result, about: str) -> tuple[str, Array, Array] | None:
     names = {ERROR: ("ex", "ey", "ez"), UNCERTAINTY: ("s_ex", "s_ey", "s_ez")}[about]
     xyz = ("x", "y", "z")
     volume = result.tables.get("volume")
-    if volume is not None and len(volume) and names[0] in volume:
+    if volume is not None and len(volume) and {*xyz, names[0]} <= set(volume):
         first = volume.columns["tool"] == volume.columns["tool"][0]
         own = Table({name: volume.columns[name][first] for name in volume}, volume.units)
         return f"the {named('tool', own.texts('tool')[0])}", own.stacked(xyz), own.stacked(names)

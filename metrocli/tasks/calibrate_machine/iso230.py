@@ -113,7 +113,7 @@ def _whole(runs: Sequence[Run]) -> tuple[list[_LineRuns], list[str]]:
         own = [run for run in runs if (run.axis, run.at, run.line) == (axis, at, name)]
         if len(own) < 2:
             continue
-        where = f"axis {axis}, line '{name}'"
+        where = f"axis {axis}, {_where(name, at)}"
         targets, rare = _common(own)
         if len(targets) < 2:
             warnings.append(
@@ -200,31 +200,31 @@ def _too_few(lines: Sequence[_LineRuns]) -> list[str]:
     for line in lines:
         travel, up, down, count = float(np.ptp(line.targets)), len(line.up), len(line.down), len(line.targets)
         if travel <= _LONG and min(up, down) < RUNS:
-            runs.setdefault((line.axis, up, down), []).append(f"'{line.name}'")
+            runs.setdefault((line.axis, up, down), []).append(_where(line.name, line.at))
         if line.axis in AXES and travel <= _LONG and count < fewest_targets(line.axis, travel):
-            targets.setdefault((line.axis, count, travel), []).append(f"'{line.name}'")
+            targets.setdefault((line.axis, count, travel), []).append(_where(line.name, line.at))
     return [
         *(
-            f"axis {axis}, line {listed(names, 5)}: {up} run{'s' * (up != 1)} up and {down} down; {_ASKS} "
+            f"axis {axis}, {listed(names, 5)}: {up} run{'s' * (up != 1)} up and {down} down; {_ASKS} "
             "five in each direction"
             for (axis, up, down), names in runs.items()
         ),
         *(
-            f"axis {axis}, line {listed(names, 5)}: {count} targets over {travel:g} mm; {_ASKS} five per metre, and "
+            f"axis {axis}, {listed(names, 5)}: {count} targets over {travel:g} mm; {_ASKS} five per metre, and "
             "at least five"
             for (axis, count, travel), names in targets.items()
         ),
         *(
-            f"axis {one.axis}, {_where(one)}: {len(one.targets)} targets over {np.ptp(one.targets):g} deg; {_ASKS} "
-            f"{fewest_targets(one.axis, float(np.ptp(one.targets)))}"
+            f"axis {one.axis}, {_where(one.name, one.at)}: {len(one.targets)} targets over "
+            f"{np.ptp(one.targets):g} deg; {_ASKS} {fewest_targets(one.axis, float(np.ptp(one.targets)))}"
             for one in lines
             if one.axis in ANGLES and len(one.targets) < fewest_targets(one.axis, float(np.ptp(one.targets)))
         ),
     ]
 
 
-def _where(line: _LineRuns) -> str:
-    return f"line '{line.name}'" if line.name else f"at {line.at or 'rest'}"
+def _where(line: str, at: str) -> str:
+    return f"line '{line}'" if line else f"at {at or 'rest'}"
 
 
 def fewest_targets(axis: str, travel: float) -> int:

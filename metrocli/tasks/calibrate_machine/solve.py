@@ -14,7 +14,7 @@ from metrocli.adjust.rounds import adjust_with_iterated_weights, in_rounds, wors
 from metrocli.adjust.solution import Residuals, Solution, residuals_of
 from metrocli.errors import NotConvergedError, UndeterminedError
 from metrocli.frozen import dataclass
-from metrocli.instruments.machine import TOOL
+from metrocli.instruments.machine import AXES, TOOL
 from metrocli.tasks.calibrate_machine.problem import MachineProblem
 from metrocli.tasks.calibrate_machine.rank.identifiability import Identifiability, identify
 from metrocli.tasks.shared.lengths import with_repeatability
@@ -23,6 +23,10 @@ from metrocli.tasks.shared.mirror import Mirrored, mirrored, must_be_decided, of
 _VAGUE = (
     "\nan unknown tool vector cannot be separated from the tracker's place: give `tool_uncertainty` as a few mm, "
     "not more"
+)
+_FRAME = (
+    "\nthe axis next to the bed is the frame: place along it and turn about it are those of the reflectors. Give each "
+    "of these a `sigma_mm` that holds the turn to 1 mrad"
 )
 
 
@@ -121,7 +125,9 @@ def adjusted(problem: MachineProblem) -> Solution:
     if solution.outcome in (Outcome.UNDETERMINED, Outcome.TOO_FEW):
         open_ones = "\n".join(f"  {combination}" for combination in solution.undetermined[:8])
         vague = any(part[0] == TOOL for combination in solution.undetermined for part in combination.parts)
-        raise UndeterminedError(f"{solution.outcome.value}\n{open_ones}".rstrip() + _VAGUE * vague, solution.misfit)
+        linear = any(axis.letter in AXES for axis in problem.machine.axes)
+        hint = _VAGUE * vague if linear else _FRAME
+        raise UndeterminedError(f"{solution.outcome.value}\n{open_ones}".rstrip() + hint, solution.misfit)
     if not solution.outcome.good:
         raise NotConvergedError(f"{solution.outcome.value} ({solution.iterations} steps)", solution.misfit)
     return solution

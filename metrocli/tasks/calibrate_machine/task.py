@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.effects.model import Model
-from metrocli.errors import InputError
+from metrocli.errors import Fault, InputError
 from metrocli.plan import Plan
 from metrocli.result import Result
 from metrocli.simulation import Simulation, SimulationOptions
@@ -87,13 +87,21 @@ def check(job: Job[Settings, Files]) -> None:
 
 
 def simulate(job: Job[Settings, Files], options: SimulationOptions) -> Simulation:
-    """Return a simulated measurement of a machine with the random errors of `simulation:` and the job's effects."""
+    """Return a simulated measurement of a machine with the random errors of `simulation:` and the job's effects.
+
+    Raises InputError if a network is to have measured the points.
+    """
+    _need_no_network("simulate", job.files)
     return simulated(job, options.seed)
 
 
 def plan(job: Job[Settings, Files]) -> Plan:
-    """Return what the job's path, points or lines will determine, and a proposal; effects are left out."""
+    """Return what the job's path, points or lines will determine, and a proposal; effects are left out.
+
+    Raises InputError if a network is to have measured the points.
+    """
     settings, files = job.settings, job.files
+    _need_no_network("plan", files)
     wanted: dict[str, Callable[[], Plan]] = {
         STANDSTILL: lambda: plan_of_points(settings, files.points),
         SIX_DOF: lambda: plan_of_lines(settings, files.lines),
@@ -104,6 +112,13 @@ def plan(job: Job[Settings, Files]) -> Plan:
         wanted |= dict.fromkeys(TURNING, partial(plan_of_poses, settings, files))
     planned = wanted[settings.method]()
     return replace(planned, warnings=(*planned.warnings, _WITHOUT)) if job.effects else planned
+
+
+def _need_no_network(command: str, files: Files) -> None:
+    if files.network is not None:
+        text = f"{command} is about points that nobody measured yet: `inputs: network` has none of them"
+        hint = "leave it out, and give the noise of one tracker: `noise: {beam: 10 um, lateral: 20 um}`"
+        raise InputError([Fault(text, hint=hint)])
 
 
 TASK = Task(

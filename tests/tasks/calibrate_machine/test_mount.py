@@ -63,3 +63,46 @@ def test_what_does_not_belong_together_is_said(measured: tuple[sim.Mount, Path],
         text.replace("standstill", "lengths").replace("points: targets.csv, network: network.h5", "lengths: l")
     )
     assert "standstill can estimate them" in metrocli("check", job).err
+
+
+def test_a_mount_has_a_page_and_what_needs_no_network_says_so(
+    measured: tuple[sim.Mount, Path], metrocli: Metrocli
+) -> None:
+    _, job = measured
+    assert metrocli("calibrate-machine", job).code == 0
+    # X, Y and Z span no volume that a figure could show
+    page = metrocli("report", job.parent / "mount.h5")
+    assert page.code == 0, page.err
+    for command in ("plan", "simulate"):
+        done = metrocli(command, job, "--out", job.parent / "new", "--set", "simulation.error=0.1 mm")
+        assert done.code == 3
+        assert "`inputs: network` has none of them" in done.err
+
+
+def test_a_frame_that_nothing_holds_is_said(tmp_path: Path, metrocli: Metrocli) -> None:
+    """One axis: the place along it and the turn about it are those of the reflectors."""
+    angles = np.radians(np.arange(0, 360, 20.0))
+    targets = {"R1": np.array([200.0, 0, 50]), "R2": np.array([-100.0, 170, 120]), "R3": np.array([-100.0, -170, 20])}
+    seen = [
+        (angle, name, sim.about(2, angle) @ at + [900.0, 50, 10]) for angle in angles for name, at in targets.items()
+    ]
+    rows = [
+        f"P{i},{np.degrees(angle):.1f},{name},{','.join(f'{x:.4f}' for x in place)}"
+        for i, (angle, name, place) in enumerate(seen)
+    ]
+    (tmp_path / "points.csv").write_text("\n".join(["point,c_deg,tool,mx_mm,my_mm,mz_mm", *rows]) + "\n")
+    listed = [f"{name},tool,{','.join(map(str, at))}," for name, at in targets.items()]
+    (tmp_path / "reflectors.csv").write_text("\n".join(["reflector,on,x_mm,y_mm,z_mm,sigma_mm", *listed]) + "\n")
+    (tmp_path / "job.yaml").write_text(
+        "metrocli: 1\njob: calibrate-machine\nmethod: standstill\nmachine:\n  chain: wbCt\n"
+        "  axes: {c: {range: [0 deg, 360 deg], knots: 9, at: [0 mm, 0 mm, 0 mm]}}\n"
+        "inputs: {points: points.csv, reflectors: reflectors.csv}\nnoise: {beam: 1 um, lateral: 1 um}\n"
+        "instrument: {on: bed}\noutput: head.h5\n"
+    )
+    done = metrocli("calibrate-machine", tmp_path / "job.yaml")
+    assert done.code == 4
+    assert "a `sigma_mm` that holds the turn" in done.err
+    held = (tmp_path / "reflectors.csv").read_text().replace(",\n", ",0.01\n")
+    (tmp_path / "reflectors.csv").write_text(held)
+    done = metrocli("calibrate-machine", tmp_path / "job.yaml")
+    assert done.code == 0, done.err

@@ -170,8 +170,8 @@ def test_one_run_each_way_has_no_repeatability() -> None:
     found, warnings = positioning(runs)
     assert found is not None
     assert warnings == (
-        "axis X, line '': 1 run up and 1 down; ISO 230-2:2014 asks for five in each direction",
-        "axis X, line '': 3 targets over 2 mm; ISO 230-2:2014 asks for five per metre, and at least five",
+        "axis X, at rest: 1 run up and 1 down; ISO 230-2:2014 asks for five in each direction",
+        "axis X, at rest: 3 targets over 2 mm; ISO 230-2:2014 asks for five per metre, and at least five",
     )
     assert found.texts("axis") == ["X"]
     assert found.numbers("B")[0] == 2.0 and found.numbers("E")[0] == 5.0 and found.numbers("M")[0] == 3.5

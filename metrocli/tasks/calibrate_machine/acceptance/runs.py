@@ -6,7 +6,7 @@ stand. The deviation at a target is that of the table, with what the readings th
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 
@@ -80,9 +80,10 @@ def _rotary_runs(tables: Tables, solved: AdjustedMachine) -> _RotaryRuns:
             continue
         others = [observations.conditions[other.coordinate] for other in axes if other is not axis]
         there = np.degrees(np.array([*others, observations.conditions[axis.coordinate]]))[:, order].round(_ROUNDED)
-        parts = [order[own] for own in _parts(there, side[order])]
-        rows = [own for own in parts if _several(axis, observations.conditions[axis.coordinate][own])]
-        if len(rows) > 1:
+        parts = list(_parts(there, side[order]))
+        targets = [np.unique(there[-1][own]) for own in parts]
+        rows = [order[own] for own, met in zip(parts, targets, strict=True) if len(met) >= _FEWEST]
+        if _repeated(targets):
             found = [_run(tables, solved, axis, own) for own in rows]
             names = [other.letter for other in axes if other is not axis]
             at = [np.degrees([place[own[0]] for place in others]).round(_ROUNDED) for own in rows]
@@ -92,8 +93,10 @@ def _rotary_runs(tables: Tables, solved: AdjustedMachine) -> _RotaryRuns:
     return _RotaryRuns(tuple(runs), max(uncertain, default=0.0))
 
 
-def _several(axis: RotaryAxis, positions: Array) -> bool:
-    return len(np.unique(np.degrees(positions).round(_ROUNDED))) >= _FEWEST
+def _repeated(targets: Iterable[Array]) -> bool:
+    """Return whether runs have targets in common: the next ones of scattered poses are no runs."""
+    long = [own for own in targets if len(own) >= _FEWEST]
+    return bool(long) and bool((np.unique(np.concatenate(long), return_counts=True)[1] > 1).sum() > 1)
 
 
 def _parts(there: Array, side: Array) -> Iterator[Index]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -76,8 +77,13 @@ def test_targets_are_in_degrees_and_their_means_near_the_truth(made: tuple[Resul
 
 
 def test_scattered_poses_have_no_figures(tmp_path: Path) -> None:
-    rng = np.random.default_rng(62)
-    machine = sim.drawn(sim.KINDS["table-table"], rng, linear=False)
-    loaded = load(sim.probed(tmp_path, machine, rng, 60, 5e-4, estimate="locations"))
-    held = calibrate_machine.TASK.job(loaded.settings, effects=loaded.effects, **read_inputs(loaded))
-    assert "positioning" not in calibrate_machine.run(held).tables
+    """Of one axis alone some poses stand in a row by chance: they are no runs, and nobody is told what they lack."""
+    two = sim.KINDS["table-table"]
+    for kind in (two, replace(two, chain="CbXYZ", axes={key: own for key, own in two.axes.items() if key != "A"})):
+        rng = np.random.default_rng(62)
+        machine = sim.drawn(kind, rng, linear=False)
+        loaded = load(sim.probed(tmp_path, machine, rng, 60, 5e-4, estimate="locations"))
+        held = calibrate_machine.TASK.job(loaded.settings, effects=loaded.effects, **read_inputs(loaded))
+        result = calibrate_machine.run(held)
+        assert "positioning" not in result.tables
+        assert not any("ISO 230-2" in warning for warning in result.warnings)
