@@ -21,6 +21,8 @@ from metrocli.instruments.six_dof import ALONG, LINE
 AXES, TURNING = "xyz", "abc"
 THETA, PLACE = 3, 6
 """First of the angles of an axis among its errors, and of the shifts of its line"""
+_ROUNDING = 1e-9
+"""Values of a wave below this are rounding of its angle, which may be hundreds of turns"""
 
 
 @dataclass(frozen=True)
@@ -80,8 +82,17 @@ class OnAxis(AxisErrorEffect):
     def wave(self, angle: Array, amplitude: Array, value: Array) -> Step:
         """Return the errors with `amplitude sin(angle)` more in the axis' own motion."""
         by_block = np.zeros((1, 3, len(angle)))
-        by_block[0, :2] = np.sin(angle), np.cos(angle)
+        by_block[0, :2] = waves(angle)
         return self.added(value, [self.own], amplitude * by_block[:, 0], by_block)
+
+
+def waves(angle: Array) -> Array:
+    """Return sine and cosine, (2, n), without the rounding of their zeros.
+
+    At equal steps all readings may stand at zeros of a wave, whose rounding would be fitted with any amplitude.
+    """
+    both = np.stack([np.sin(angle), np.cos(angle)])
+    return np.where(np.abs(both) < _ROUNDING, 0.0, both)
 
 
 def _machine(machine: Machine | None) -> Machine:

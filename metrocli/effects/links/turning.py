@@ -8,7 +8,7 @@ from metrocli.adjust.model.chain import LinkContext, Step
 from metrocli.adjust.model.quantities import OfBlock, Quantity
 from metrocli.arrays import Array
 from metrocli.effects.effect import ELAPSED
-from metrocli.effects.links.motions import PLACE, THETA, TURNING, OnAxis
+from metrocli.effects.links.motions import PLACE, THETA, TURNING, OnAxis, waves
 from metrocli.frozen import dataclass
 from metrocli.instruments.axes.kinematics import FIRST_SEEN, ON_WORKPIECE
 from metrocli.instruments.axes.rotary import ANGLE
@@ -63,8 +63,9 @@ class Wobble(OnAxis):
         rows = local.rows(self.block)
         angle = rows[4] * _angle(self.axis, local)
         by_block = np.zeros((2, 5, len(angle)))
-        by_block[0, 0] = by_block[1, 2] = np.cos(angle)
-        by_block[0, 1] = by_block[1, 3] = np.sin(angle)
+        sine, cosine = waves(angle)
+        by_block[0, 0] = by_block[1, 2] = cosine
+        by_block[0, 1] = by_block[1, 3] = sine
         across = [THETA + k for k in range(3) if TURNING[k] != self.axis]
         return self.linear(value, local, [self.row(k) for k in across], by_block)
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from metrocli.effects.links.motions import waves
 from metrocli.formats import hdf5
 from metrocli.result import Result
 
@@ -342,3 +343,25 @@ def test_its_result_does_not_stand_for_a_machine(write: Any, metrocli: Metrocli)
     Path("check.csv").write_text("\n".join(["point,x_mm,y_mm,z_mm,c_deg,mx_mm,my_mm,mz_mm", *rows, ""]))
     ran = metrocli("verify", "c.h5", "check.csv")
     assert ran.code == 3 and "the positioning of C alone" in ran.err
+
+
+def test_waves_that_are_zero_at_every_target_have_no_signature() -> None:
+    angle = np.radians(np.arange(0.0, 361.0, 30.0))
+    for periods in (36, 72, 654, 720):
+        sine, cosine = waves(periods * angle)
+        assert not sine.any()
+        assert np.allclose(np.abs(cosine), 1)
+
+
+def test_no_worm_is_named_from_rounding(write: Callable[..., None], metrocli: Metrocli) -> None:
+    """Scatter that no effect explains: the 654 periods of a worm are 0 at all of these targets, except for rounding."""
+    rng, rows = np.random.default_rng(3), []
+    for _ in range(RUNS):
+        for way in (1, -1):
+            along = TARGETS[::way]
+            read = 5 * np.sin(np.radians(along)) + 2 * way + rng.normal(size=len(along)) * 0.2
+            rows += list(zip(along.tolist(), np.round(read, 3).tolist(), strict=True))
+    write(rows, job=JOB + "effects: [{name: backlash, axis: c}]\n")
+    ran = metrocli("diagnose", "job.yaml", "--limit", "30s")
+    assert ran.code == 0, ran.err
+    assert "worm-error c  amplitude" not in ran.out
