@@ -30,7 +30,7 @@ def python_of(package: str) -> Path | None:
 
 
 def environment_of(package: str) -> Path | None:
-    """Return the interpreter of an environment that is there already, None where there is none."""
+    """Return the interpreter of an environment that exists; None where it does not."""
     python = HERE / package / "bin" / "python"
     return python if python.is_file() else None
 
