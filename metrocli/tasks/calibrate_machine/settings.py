@@ -205,6 +205,9 @@ class Settings:
             if axis.positions == ESTIMATED and self.method != STANDSTILL:
                 where = f"machine.axes.{letter.lower()}.positions"
                 yield where, f"method {self.method} takes positions as the file has them; standstill can estimate them"
+            elif axis.positions == ESTIMATED and f"E{letter}{letter}" in self.estimated:
+                text = f"the positions of {letter} are estimated, and its table E{letter}{letter} says the same of them"
+                yield "estimate", f"{text}: leave it out, as `estimate: locations` does"
         yield from self._faults_of_noise()
         if self.positioning != Positioning() and self.method != SIX_DOF:
             yield "positioning", f"method {self.method} has no figures of ISO 230-2: leave this key out"

@@ -126,7 +126,9 @@ def adjusted(problem: MachineProblem) -> Solution:
         open_ones = "\n".join(f"  {combination}" for combination in solution.undetermined[:8])
         vague = any(part[0] == TOOL for combination in solution.undetermined for part in combination.parts)
         linear = any(axis.letter in AXES for axis in problem.machine.axes)
-        hint = _VAGUE * vague if linear else _FRAME
+        tables = {axis.block for axis in problem.machine.axes}
+        framed = not any(part[0] in tables for combination in solution.undetermined for part in combination.parts)
+        hint = _VAGUE * vague if linear else _FRAME * framed
         raise UndeterminedError(f"{solution.outcome.value}\n{open_ones}".rstrip() + hint, solution.misfit)
     if not solution.outcome.good:
         raise NotConvergedError(f"{solution.outcome.value} ({solution.iterations} steps)", solution.misfit)

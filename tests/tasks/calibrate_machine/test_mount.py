@@ -106,3 +106,12 @@ def test_a_frame_that_nothing_holds_is_said(tmp_path: Path, metrocli: Metrocli) 
     (tmp_path / "reflectors.csv").write_text(held)
     done = metrocli("calibrate-machine", tmp_path / "job.yaml")
     assert done.code == 0, done.err
+
+
+def test_positions_are_not_estimated_beside_the_table_of_the_angle(
+    measured: tuple[sim.Mount, Path], metrocli: Metrocli
+) -> None:
+    _, job = measured
+    done = metrocli("calibrate-machine", job, "--set", "estimate=rotary")
+    assert done.code == 3
+    assert "its table ECC says the same of them" in done.err
