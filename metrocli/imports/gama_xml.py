@@ -47,8 +47,9 @@ def files(lines: TextLines, wishes: ImportOptions) -> Imported:
     survey = reader.read()
     if reader.faults:
         raise InputError(reader.faults)
-    note = f"from {lines.file} (gama-xml)"
-    return {name: to_csv(header, rows, note) for name, (header, rows) in survey.items() if rows}
+    notes = [f"{reader.left_out} observations of points without fix or adj are left out"] if reader.left_out else []
+    origin = f"from {lines.file} (gama-xml)"
+    return {name: to_csv(header, rows, origin, notes) for name, (header, rows) in survey.items() if rows}
 
 
 def _bare(root: Element) -> Element:
@@ -56,6 +57,20 @@ def _bare(root: Element) -> Element:
     for element in root.iter():
         element.tag = element.tag.rpartition("}")[2]
     return root
+
+
+def _without_unlisted(network: Element) -> int:
+    """Take out the observations of points that are neither fixed nor adjusted, as Gama does; return their number."""
+    used = {point.get("id", "").strip() for point in network.iter("point") if point.get("fix") or point.get("adj")}
+    count = 0
+    for section in network.iter("points-observations"):
+        for group in section:
+            for element in list(group):
+                ends = [element.get("from", group.get("from")), *(element.get(end) for end in ("to", "bs", "fs"))]
+                if any(end and end.strip() not in used for end in ends):
+                    group.remove(element)
+                    count += 1
+    return count
 
 
 def _setups(obs: Element) -> dict[tuple[str, str], list[Element]]:
@@ -91,7 +106,11 @@ class _NetworkSections:
         self.lines, self.network, self.faults = lines, network, list[Fault]()
         self.axes = network.get("axes-xy", "ne")
         self.clockwise = network.get("angles", "left-handed") == "left-handed"
-        self.plane = not any(element.tag in _UPRIGHT or element.get("z") for element in network.iter())
+        self.left_out = _without_unlisted(network)
+        self.plane = not any(
+            element.tag in _UPRIGHT or element.get("z") or "z" in (element.get("fix", "") + element.get("adj", "")).lower()
+            for element in network.iter()
+        )
         if self.axes not in _AXES:
             self._refuse(f"axes-xy is '{self.axes}'", f"one of {', '.join(_AXES)}")
             self.axes = "en"
