@@ -26,7 +26,9 @@ _READ = {
     "distance": ("d", "distance-stdev"),
     "z-angle": ("zd", "zenith-angle-stdev"),
 }
-_HINT = "with stdev: <direction>, <angle>, <s-distance>, <z-angle>, <dh>, or <direction>, <angle>, <distance> of a plane"
+_HINT = (
+    "with stdev: <direction>, <angle>, <s-distance>, <z-angle>, <dh>, or <direction>, <angle>, <distance> of a plane"
+)
 _UPRIGHT = ("s-distance", "z-angle", "dh", "vec")
 _STATIONS = ("station", "instrument", "over", "height_mm", "sigma_height_mm")
 INSTRUMENT = "TS1"
@@ -76,14 +78,22 @@ def _without_unlisted(network: Element) -> int:
 def _setups(obs: Element) -> dict[tuple[str, str], list[Element]]:
     """Return the observations of a set by the point and the height of their instrument.
 
-    Horizontal angles do not depend on the height; they join the first set-up of their point.
+    Horizontal angles do not depend on the height; they join the first other observation from their point.
     """
+
+    def place(element: Element) -> tuple[str, str]:
+        name = element.get("from", obs.get("from", "")).strip()
+        return name, element.get("from_dh", obs.get("from_dh", "0"))
+
+    def is_level(element: Element) -> bool:
+        return element.tag in ("direction", "angle") and element.get("from_dh") is None
+
+    upright = [place(element) for element in obs if not is_level(element)]
     setups: dict[tuple[str, str], list[Element]] = {}
     for element in obs:
-        name = element.get("from", obs.get("from", "")).strip()
-        key = name, element.get("from_dh", obs.get("from_dh", "0"))
-        if element.tag in ("direction", "angle") and element.get("from_dh") is None:
-            key = next((other for other in setups if other[0] == name), key)
+        key = place(element)
+        if is_level(element):
+            key = next((other for other in upright if other[0] == key[0]), key)
         setups.setdefault(key, []).append(element)
     return setups
 
@@ -96,7 +106,6 @@ class _Shot:
     target: str
     height: str
     cells: dict[str, str]
-    round: str = ""
 
 
 class _NetworkSections:
@@ -108,7 +117,9 @@ class _NetworkSections:
         self.clockwise = network.get("angles", "left-handed") == "left-handed"
         self.left_out = _without_unlisted(network)
         self.plane = not any(
-            element.tag in _UPRIGHT or element.get("z") or "z" in (element.get("fix", "") + element.get("adj", "")).lower()
+            element.tag in _UPRIGHT
+            or element.get("z")
+            or "z" in (element.get("fix", "") + element.get("adj", "")).lower()
             for element in network.iter()
         )
         if self.axes not in _AXES:
@@ -147,7 +158,13 @@ class _NetworkSections:
         columns = (f"{hz}_gon", f"sigma_{hz}_mgon", "zd_gon", "sigma_zd_mgon", "d_m", "sigma_d_mm")
         keys = ("hz", "sigma_hz", "zd", "sigma_zd", "d", "sigma_d")
         rows = [
-            (shot.station, shot.target, *(shot.cells.get(key, "") for key in keys), shot.height, shot.round)
+            (
+                shot.station,
+                shot.target,
+                *(shot.cells.get(key, "") for key in keys),
+                shot.height,
+                shot.cells.get("round", ""),
+            )
             for shot in shots
         ]
         return {
@@ -181,28 +198,29 @@ class _NetworkSections:
         """Yield the readings of a set-up, target by target."""
         shots: dict[tuple[str, str], _Shot] = {}
         for number, observation in enumerate(observations, 1):
-            if observation.tag == "angle":
-                yield from self._angle(section, observation, station, f"angle {number}")
-                continue
-            if observation.tag not in _READ or (observation.tag == "distance" and not self.plane):
-                self._refuse(f"<{observation.tag}> in the set from {over} is not read")
-                continue
+            for name, target, height, cells in self._readings(section, observation, over, number):
+                shot = shots.get((target, height))
+                if shot is None or name in shot.cells:
+                    shot = shots[target, height] = _Shot(station, target, height, {})
+                    yield shot
+                shot.cells.update(cells)
+
+    def _readings(
+        self, section: Element, observation: Element, over: str, number: int
+    ) -> Iterator[tuple[str, str, str, dict[str, str]]]:
+        """Yield quantity, target, height and cells of an observation; an angle is two directions."""
+        if observation.tag == "angle":
+            sigma = self._spread(observation, "hz", section.get("angle-stdev", ""))
+            each = {"sigma_hz": str(float(sigma or "nan") / 2**0.5), "round": f"angle {number}"}
+            for end, value in (("bs", "0"), ("fs", self._value(observation, "hz"))):
+                yield "hz", observation.get(end, "").strip(), "", {"hz": value, **each}
+        elif observation.tag not in _READ or (observation.tag == "distance" and not self.plane):
+            self._refuse(f"<{observation.tag}> in the set from {over} is not read")
+        else:
             name, default = _READ[observation.tag]
             target, height = observation.get("to", "").strip(), "" if self.plane else observation.get("to_dh", "")
-            shot = shots.get((target, height))
-            if shot is None or name in shot.cells:
-                shot = shots[target, height] = _Shot(station, target, height, {})
-                yield shot
-            shot.cells[name] = self._value(observation, name)
-            shot.cells[f"sigma_{name}"] = self._spread(observation, name, section.get(default, ""))
-
-    def _angle(self, section: Element, angle: Element, station: str, name: str) -> Iterator[_Shot]:
-        """Yield the two directions of an angle, which have a round of their own."""
-        sigma = self._spread(angle, "hz", section.get("angle-stdev", ""))
-        each = str(float(sigma or "nan") / 2**0.5)
-        for end, value in (("bs", "0"), ("fs", self._value(angle, "hz"))):
-            target = angle.get(end, "").strip()
-            yield _Shot(station, target, "", {"hz": value, "sigma_hz": each}, name)
+            sigma = self._spread(observation, name, section.get(default, ""))
+            yield name, target, height, {name: self._value(observation, name), f"sigma_{name}": sigma}
 
     @staticmethod
     def _one_height(
