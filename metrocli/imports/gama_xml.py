@@ -29,6 +29,7 @@ _READ = {
 _HINT = (
     "with stdev: <direction>, <angle>, <s-distance>, <z-angle>, <dh>, or <direction>, <angle>, <distance> of a plane"
 )
+_HORIZONTAL = ("direction", "angle")
 _UPRIGHT = ("s-distance", "z-angle", "dh", "vec")
 _STATIONS = ("station", "instrument", "over", "height_mm", "sigma_height_mm")
 INSTRUMENT = "TS1"
@@ -86,7 +87,7 @@ def _setups(obs: Element) -> dict[tuple[str, str], list[Element]]:
         return name, element.get("from_dh", obs.get("from_dh", "0"))
 
     def is_level(element: Element) -> bool:
-        return element.tag in ("direction", "angle") and element.get("from_dh") is None
+        return element.tag in _HORIZONTAL and element.get("from_dh") is None
 
     upright = [place(element) for element in obs if not is_level(element)]
     setups: dict[tuple[str, str], list[Element]] = {}
@@ -196,12 +197,17 @@ class _NetworkSections:
 
     def _set(self, section: Element, observations: list[Element], station: str, over: str) -> Iterator[_Shot]:
         """Yield the readings of a set-up, target by target."""
-        shots: dict[tuple[str, str], _Shot] = {}
-        for number, observation in enumerate(observations, 1):
+        shots: dict[str, list[_Shot]] = {}
+        # horizontal angles come last: they do not depend on heights, and join what else was read of their target
+        numbered = sorted(enumerate(observations, 1), key=lambda pair: pair[1].tag in _HORIZONTAL)
+        for number, observation in numbered:
             for name, target, height, cells in self._readings(section, observation, over, number):
-                shot = shots.get((target, height))
-                if shot is None or name in shot.cells:
-                    shot = shots[target, height] = _Shot(station, target, height, {})
+                seen = shots.setdefault(target, [])
+                fits = (one for one in seen if name not in one.cells and (name == "hz" or one.height == height))
+                shot = next(fits, None)
+                if shot is None:
+                    shot = _Shot(station, target, height, {})
+                    seen.append(shot)
                     yield shot
                 shot.cells.update(cells)
 
