@@ -24,7 +24,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from benchmarks.beside.environments import python_of, version_of
+from benchmarks.beside.environments import environment_of, python_of, version_of
 
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "benchmarks.md"
@@ -144,7 +144,8 @@ def once(python: str, module: str, function: str, size: int) -> dict[str, Any]:
 def measured(pair: Pair, runs: int) -> Row:
     """Run both in turn."""
     python = python_of(pair.package) if pair.installed else None
-    version = "" if pair.package in ("make", "Ceres") else version_of(pair.package, python)
+    there = python or environment_of(pair.package)
+    version = "" if pair.package in ("make", "Ceres") else version_of(pair.package, there)
     ours, peer, agreement = [], [], ""
     for _ in range(runs):
         mine = once(sys.executable, pair.module, pair.ours, pair.size)

@@ -29,6 +29,12 @@ def python_of(package: str) -> Path | None:
     return python
 
 
+def environment_of(package: str) -> Path | None:
+    """Return the interpreter of an environment that exists; None where it does not."""
+    python = HERE / package / "bin" / "python"
+    return python if python.is_file() else None
+
+
 def program_of(name: str) -> str | None:
     """Return a program that the machine has, or that a package of its name on PyPI has; None if it cannot be had."""
     there = shutil.which(name)
