@@ -2,7 +2,7 @@
 
     python -m benchmarks gama FOLDER     # NAME.gkf (input of gama-local) beside NAME.xml (its --xml output)
 
-Gama's standard deviations are scaled by m0 a posteriori over a priori where it says so; ours are scaled alike.
+Where Gama scales its standard deviations by the variance factor, those of metrocli are scaled by it too.
 No file of Gama is part of the project.
 """
 

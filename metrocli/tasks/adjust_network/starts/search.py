@@ -191,7 +191,6 @@ def start(readings: NetworkReadings) -> NetworkStart:
     if search.stuck() or max(disagreement(readings, begun)[0], list_offset(readings, begun)) > _LOOSE:
         search = _alone(readings, levelled)
         _onto_list(search, given)
-        search.run()
     search.intersect()
     _must_be_joined(search)
     must_agree(readings, search.found())
