@@ -1,8 +1,9 @@
-"""Spatial networks of GNU Gama: directions, slope distances, zenith angles and height differences, as adjust-network.
+"""Spatial and plane networks of GNU Gama as inputs of adjust-network.
 
 Source: GNU Gama manual, XML input data format for gama-local (points in m, angles in gon or d-m-s, standard deviations
 in mm and cc or arcsec). North is +y and east +x in what is written. A station stands over its point, once for
-each set of observations and each height of its instrument.
+each set of observations and each height of its instrument. An angle is two directions of a round of its own, each with
+1/sqrt(2) of its standard deviation. A plane network has all its points at one height: z = 0, by height differences 0.
 """
 
 from __future__ import annotations
@@ -22,9 +23,14 @@ _AXES = ("ne", "sw", "es", "wn", "en", "nw", "se", "ws")
 _READ = {
     "direction": ("hz", "direction-stdev"),
     "s-distance": ("d", "distance-stdev"),
+    "distance": ("d", "distance-stdev"),
     "z-angle": ("zd", "zenith-angle-stdev"),
 }
-_HINT = "a spatial network has <direction>, <s-distance>, <z-angle> and <dh> with stdev"
+_HINT = (
+    "with stdev: <direction>, <angle>, <s-distance>, <z-angle>, <dh>, or <direction>, <angle>, <distance> of a plane"
+)
+_HORIZONTAL = ("direction", "angle")
+_UPRIGHT = ("s-distance", "z-angle", "dh", "vec")
 _STATIONS = ("station", "instrument", "over", "height_mm", "sigma_height_mm")
 INSTRUMENT = "TS1"
 """Name of the instrument in what is written: declare it as a total station"""
@@ -44,8 +50,9 @@ def files(lines: TextLines, wishes: ImportOptions) -> Imported:
     survey = reader.read()
     if reader.faults:
         raise InputError(reader.faults)
-    note = f"from {lines.file} (gama-xml)"
-    return {name: to_csv(header, rows, note) for name, (header, rows) in survey.items() if rows}
+    notes = [f"{reader.left_out} observations of points without fix or adj are left out"] if reader.left_out else []
+    origin = f"from {lines.file} (gama-xml)"
+    return {name: to_csv(header, rows, origin, notes) for name, (header, rows) in survey.items() if rows}
 
 
 def _bare(root: Element) -> Element:
@@ -55,17 +62,39 @@ def _bare(root: Element) -> Element:
     return root
 
 
+def _without_unlisted(network: Element) -> int:
+    """Take out the observations of points that are neither fixed nor adjusted, as Gama does; return their number."""
+    used = {point.get("id", "").strip() for point in network.iter("point") if point.get("fix") or point.get("adj")}
+    count = 0
+    for section in network.iter("points-observations"):
+        for group in section:
+            for element in list(group):
+                ends = [element.get("from", group.get("from")), *(element.get(end) for end in ("to", "bs", "fs"))]
+                if any(end and end.strip() not in used for end in ends):
+                    group.remove(element)
+                    count += 1
+    return count
+
+
 def _setups(obs: Element) -> dict[tuple[str, str], list[Element]]:
     """Return the observations of a set by the point and the height of their instrument.
 
-    Directions do not depend on the height; they join the first set-up of their point.
+    Horizontal angles do not depend on the height; they join the first other observation from their point.
     """
+
+    def place(element: Element) -> tuple[str, str]:
+        name = element.get("from", obs.get("from", "")).strip()
+        return name, element.get("from_dh", obs.get("from_dh", "0"))
+
+    def is_level(element: Element) -> bool:
+        return element.tag in _HORIZONTAL and element.get("from_dh") is None
+
+    upright = [place(element) for element in obs if not is_level(element)]
     setups: dict[tuple[str, str], list[Element]] = {}
     for element in obs:
-        name = element.get("from", obs.get("from", "")).strip()
-        key = name, element.get("from_dh", obs.get("from_dh", "0"))
-        if element.tag == "direction" and element.get("from_dh") is None:
-            key = next((other for other in setups if other[0] == name), key)
+        key = place(element)
+        if is_level(element):
+            key = next((other for other in upright if other[0] == key[0]), key)
         setups.setdefault(key, []).append(element)
     return setups
 
@@ -87,6 +116,13 @@ class _NetworkSections:
         self.lines, self.network, self.faults = lines, network, list[Fault]()
         self.axes = network.get("axes-xy", "ne")
         self.clockwise = network.get("angles", "left-handed") == "left-handed"
+        self.left_out = _without_unlisted(network)
+        self.plane = not any(
+            element.tag in _UPRIGHT
+            or element.get("z")
+            or "z" in (element.get("fix", "") + element.get("adj", "")).lower()
+            for element in network.iter()
+        )
         if self.axes not in _AXES:
             self._refuse(f"axes-xy is '{self.axes}'", f"one of {', '.join(_AXES)}")
             self.axes = "en"
@@ -112,18 +148,28 @@ class _NetworkSections:
                         number[name] += 1
                         station = f"{name}-{number[name]}" if often[name] > 1 else f"S{name}"
                         shots += self._set(section, observations, station, name)
-                        high = str(self._number(height, element) * 1000)
+                        high = "0" if self.plane else str(self._number(height, element) * 1000)
                         stations.append((station, INSTRUMENT, name, high, "0"))
                 elif element.tag == "height-differences":
                     heights += self._heights(element)
                 else:
                     self._refuse(f"<{element.tag}> is not read")
         hz = "hz" if self.clockwise else "az"
+        heights += self._one_height(points, shots, stations) if self.plane else ()
         columns = (f"{hz}_gon", f"sigma_{hz}_mgon", "zd_gon", "sigma_zd_mgon", "d_m", "sigma_d_mm")
         keys = ("hz", "sigma_hz", "zd", "sigma_zd", "d", "sigma_d")
-        rows = [(shot.station, shot.target, *(shot.cells.get(key, "") for key in keys), shot.height) for shot in shots]
+        rows = [
+            (
+                shot.station,
+                shot.target,
+                *(shot.cells.get(key, "") for key in keys),
+                shot.height,
+                shot.cells.get("round", ""),
+            )
+            for shot in shots
+        ]
         return {
-            "readings.csv": (("station", "point", *columns, "th_m"), rows),
+            "readings.csv": (("station", "point", *columns, "th_m", "round"), rows),
             "stations.csv": (_STATIONS, stations),
             "points.csv": (("point", "x_m", "y_m", "z_m", "sigma_x_mm", "sigma_y_mm", "sigma_z_mm"), points),
             "heights.csv": (("from", "to", "dh_m", "sigma_mm"), heights),
@@ -131,6 +177,9 @@ class _NetworkSections:
 
     def _point(self, element: Element) -> Iterator[tuple[str, ...]]:
         """Yield a listed point: a fixed coordinate has the standard deviation 0, an adjusted one none."""
+        if self.plane:
+            element.set("z", "0")
+            element.set("fix", element.get("fix", "") + ("z" if element.get("fix") else ""))
         if not all(element.get(axis) for axis in "xyz"):
             if element.get("fix"):
                 name = element.get("id", "")
@@ -148,19 +197,48 @@ class _NetworkSections:
 
     def _set(self, section: Element, observations: list[Element], station: str, over: str) -> Iterator[_Shot]:
         """Yield the readings of a set-up, target by target."""
-        shots: dict[tuple[str, str], _Shot] = {}
-        for observation in observations:
-            if observation.tag not in _READ:
-                self._refuse(f"<{observation.tag}> in the set from {over} is not read")
-                continue
+        shots: dict[str, list[_Shot]] = {}
+        # horizontal angles come last: they do not depend on heights, and join what else was read of their target
+        numbered = sorted(enumerate(observations, 1), key=lambda pair: pair[1].tag in _HORIZONTAL)
+        for number, observation in numbered:
+            for name, target, height, cells in self._readings(section, observation, over, number):
+                seen = shots.setdefault(target, [])
+                fits = (one for one in seen if name not in one.cells and (name == "hz" or one.height == height))
+                shot = next(fits, None)
+                if shot is None:
+                    shot = _Shot(station, target, height, {})
+                    seen.append(shot)
+                    yield shot
+                shot.cells.update(cells)
+
+    def _readings(
+        self, section: Element, observation: Element, over: str, number: int
+    ) -> Iterator[tuple[str, str, str, dict[str, str]]]:
+        """Yield quantity, target, height and cells of an observation; an angle is two directions."""
+        if observation.tag == "angle":
+            sigma = self._spread(observation, "hz", section.get("angle-stdev", ""))
+            each = {"sigma_hz": str(float(sigma or "nan") / 2**0.5), "round": f"angle {number}"}
+            for end, value in (("bs", "0"), ("fs", self._value(observation, "hz"))):
+                yield "hz", observation.get(end, "").strip(), "", {"hz": value, **each}
+        elif observation.tag not in _READ or (observation.tag == "distance" and not self.plane):
+            self._refuse(f"<{observation.tag}> in the set from {over} is not read")
+        else:
             name, default = _READ[observation.tag]
-            target, height = observation.get("to", "").strip(), observation.get("to_dh", "")
-            shot = shots.get((target, height))
-            if shot is None or name in shot.cells:
-                shot = shots[target, height] = _Shot(station, target, height, {})
-                yield shot
-            shot.cells[name] = self._value(observation, name)
-            shot.cells[f"sigma_{name}"] = self._spread(observation, name, section.get(default, ""))
+            target, height = observation.get("to", "").strip(), "" if self.plane else observation.get("to_dh", "")
+            sigma = self._spread(observation, name, section.get(default, ""))
+            yield name, target, height, {name: self._value(observation, name), f"sigma_{name}": sigma}
+
+    @staticmethod
+    def _one_height(
+        points: list[tuple[str, ...]], shots: list[_Shot], stations: list[tuple[str, ...]]
+    ) -> Iterator[tuple[str, ...]]:
+        """Yield a height difference 0 to each point of a plane network that is not fixed."""
+        used = dict.fromkeys([row[2] for row in stations] + [shot.target for shot in shots])
+        fixed = [row[0] for row in points if row[6]]
+        first = next((name for name in fixed if name in used), next(iter(used), ""))
+        for name in used:
+            if name != first and name not in fixed:
+                yield first, name, "0", "1"
 
     def _value(self, element: Element, name: str) -> str:
         """Return an angle in gon, or a distance in m."""
@@ -176,7 +254,7 @@ class _NetworkSections:
         """Return the standard deviation in mm, or in mgon: 10 cc, or 0.324 arcsec a cc."""
         text = element.get("stdev", default)
         if not text:
-            self._refuse(f"<{element.tag}> to {element.get('to')} has no stdev")
+            self._refuse(f"<{element.tag}> to {element.get('to') or element.get('fs')} has no stdev")
             return ""
         if name == "d":
             parts = [float(part) for part in text.split()]

@@ -111,3 +111,48 @@ def test_a_fixed_point_without_one_coordinate_is_not_lost(tmp_path: Path, metroc
     path.write_text(NET.format('<point id="504" x="1" y="2" fix="xy" adj="z"/>'))
     ran = metrocli("import", path, "--from", "gama-xml", "--out", tmp_path)
     assert ran.code == 3 and "point 504 is fixed and lacks a coordinate" in ran.err
+
+
+def plane(rng: np.random.Generator, angles: bool) -> tuple[str, Array]:
+    """A plane network in m with noise, and its points: 0 and 1 fixed, the others without coordinates."""
+    places = rng.uniform(0, 300, (6, 2)) + 20000
+    lines = [f'<point id="{i}" x="{x:.9f}" y="{y:.9f}" fix="xy"/>' for i, (x, y) in enumerate(places[:2])]
+    lines += [f'<point id="{i}" adj="xy"/>' for i in range(2, 6)]
+    for i in range(6):
+        lines.append(f'<obs from="{i}">')
+        others = [k for k in range(6) if k != i]
+        away = places[others] - places[i]
+        bearing = np.arctan2(away[:, 0], away[:, 1]) * 200 / np.pi
+        length = np.linalg.norm(away, axis=1) + rng.normal(0, 2e-3, 5)
+        if angles:
+            turns = np.remainder(bearing[1:] - bearing[:-1] + rng.normal(0, 1e-3, 4), 400)
+            ends = zip(others[:-1], others[1:], turns, strict=True)
+            lines += [f'<angle bs="{a}" fs="{b}" val="{turn:.9f}" stdev="10"/>' for a, b, turn in ends]
+        else:
+            turns = np.remainder(bearing - bearing[0] + rng.normal(0, 1e-3, 5), 400)
+            lines += [f'<direction to="{k}" val="{t:.9f}" stdev="10"/>' for k, t in zip(others, turns, strict=True)]
+        lines += [f'<distance to="{k}" val="{d:.9f}" stdev="2"/>' for k, d in zip(others, length, strict=True)]
+        lines += ['<direction to="unlisted" val="7" stdev="10"/>', "</obs>"]
+    body = f"<points-observations>{''.join(lines)}</points-observations>"
+    text = f'<gama-local><network axes-xy="en" angles="left-handed">{body}</network></gama-local>'
+    return text, places
+
+
+@pytest.mark.parametrize(("angles", "dof"), [(False, 30 + 30 - 6 - 8), (True, 24 + 30 - 8)])
+def test_a_plane_network_is_at_one_height(angles: bool, dof: int, tmp_path: Path, metrocli: Metrocli) -> None:
+    text, places = plane(np.random.default_rng(5), angles)
+    (tmp_path / "net.gkf").write_text(text)
+    ran = metrocli("import", tmp_path / "net.gkf", "--from", "gama-xml", "--out", tmp_path)
+    assert ran.code == 0, ran.err
+    assert "6 observations of points without fix or adj are left out" in (tmp_path / "readings.csv").read_text()
+    (tmp_path / "job.yaml").write_text(JOB + "ranges: {x: 90 km, y: 90 km}\n")
+    ran = metrocli("adjust-network", tmp_path / "job.yaml")
+    assert ran.code == 0, ran.err
+    result = hdf5.read(tmp_path / "result.h5")[0]
+    points = result.tables["points"]
+    found = points.stacked("xyz")[[points.texts("point").index(str(i)) for i in range(6)]]
+    spread = points.stacked(["sx", "sy"])[[points.texts("point").index(str(i)) for i in range(2, 6)]]
+    z = (found[2:, :2] - 1000 * places[2:]) / spread
+    assert np.abs(found[:, 2]).max() < 1e-9 and np.abs(z).max() < 4 and np.sqrt(np.mean(z**2)) > 0.3
+    assert result.statistics["dof"] == dof
+    assert 0.5 < result.statistics["chi2"] / dof < 1.7

@@ -62,6 +62,7 @@ def test_hall_in_inner_constraints_of_two_points(tmp_path: Path, metrocli: Metro
         f"<points-observations {spread}>",
         '<point id="141" x="-1.792" y="-2.047" z="0.113" adj="XYZ"/>',
         '<point id="142" x="10.264" y="-2.621" z="-0.086" adj="XYZ"/>',
+        *(f'<point id="{name}" adj="XYZ"/>' for name in range(1, 6)),
     ]
     for station, shots in HALL.items():
         lines.append(f'<obs from="{station}">')

@@ -146,7 +146,9 @@ def _moves(solved: AdjustedNetwork, group: Group, least: Array) -> Array:
     """Return how far the minimal detectable errors (d, n) move the point of a reading [mm]; nan for given points."""
     if len(least) > 1:
         return np.full(least.shape, np.nan)
-    return point_shift(solved.solution, group) * least
+    shift = point_shift(solved.solution, group)
+    # what moves nothing does so for errors that nothing detects as well: 0 times infinity
+    return np.multiply(shift, least, out=np.zeros_like(least), where=shift != 0)
 
 
 def _timed(solved: AdjustedNetwork, name: str) -> bool:

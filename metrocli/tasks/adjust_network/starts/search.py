@@ -7,6 +7,8 @@ Method: docs/algorithms/joined-set-ups.md.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from metrocli.arrays import Array, Index, Mask
@@ -182,7 +184,7 @@ def start(readings: NetworkReadings) -> NetworkStart:
     names set-ups that cannot be joined, and NotConvergedError for set-ups that contradict each other.
     """
     levelled = np.array([readings.of(i).is_levelled for i in range(len(readings.stations.names))])
-    given = readings.points.listed
+    readings, given = _with_level_beams(readings), readings.points.listed
     search = _Search(readings, given, levelled)
     search.run()
     begun = search.found()
@@ -193,6 +195,15 @@ def start(readings: NetworkReadings) -> NetworkStart:
     _must_be_joined(search)
     must_agree(readings, search.found())
     return search.found()
+
+
+def _with_level_beams(readings: NetworkReadings) -> NetworkReadings:
+    """Return the readings of a plane network, where nothing reads an elevation, with elevations of 0."""
+    seen = readings.sightings
+    if np.isfinite(seen.values[1]).any():
+        return readings
+    values = np.stack([seen.values[0], np.zeros_like(seen.values[1]), seen.values[2]])
+    return replace(readings, sightings=replace(seen, values=values))
 
 
 def _alone(readings: NetworkReadings, levelled: Mask) -> _Search:
