@@ -206,7 +206,7 @@ class Settings:
                 where = f"machine.axes.{letter.lower()}.positions"
                 yield where, f"method {self.method} takes positions as the file has them; standstill can estimate them"
             elif axis.positions == ESTIMATED and f"E{letter}{letter}" in self.estimated:
-                text = f"the positions of {letter} are estimated, and its table E{letter}{letter} says the same of them"
+                text = f"estimated positions of {letter} and its table E{letter}{letter} are the same unknowns"
                 yield "estimate", f"{text}: leave it out, as `estimate: locations` does"
         yield from self._faults_of_noise()
         if self.positioning != Positioning() and self.method != SIX_DOF:

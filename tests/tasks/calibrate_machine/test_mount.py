@@ -114,4 +114,4 @@ def test_positions_are_not_estimated_beside_the_table_of_the_angle(
     _, job = measured
     done = metrocli("calibrate-machine", job, "--set", "estimate=rotary")
     assert done.code == 3
-    assert "its table ECC says the same of them" in done.err
+    assert "its table ECC are the same unknowns" in done.err
