@@ -11,6 +11,11 @@ from conftest import Ran
 from simulated import mount as sim
 
 from metrocli.formats.hdf5 import read
+from metrocli.project.job import load
+from metrocli.table import Table
+from metrocli.tasks.calibrate_machine.described import machine_of
+from metrocli.tasks.calibrate_machine.methods import of_network
+from metrocli.tasks.calibrate_machine.methods.positions import positions_of
 
 Metrocli = Callable[..., Ran]
 
@@ -115,3 +120,22 @@ def test_positions_are_not_estimated_beside_the_table_of_the_angle(
     done = metrocli("calibrate-machine", job, "--set", "estimate=rotary")
     assert done.code == 3
     assert "its table ECC are the same unknowns" in done.err
+
+
+def test_more_common_errors_than_are_estimated_together_are_refused(
+    measured: tuple[sim.Mount, Path], metrocli: Metrocli, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(of_network, "_MOST", 9)
+    done = metrocli("calibrate-machine", measured[1])
+    assert done.code == 3
+    assert "errors in common, more than the 9 that are estimated together" in done.err
+    assert "list at most 3 points of this network" in done.err
+
+
+def test_positions_that_differ_in_the_file_are_two(measured: tuple[sim.Mount, Path]) -> None:
+    settings = load(measured[1]).settings
+    near = Table.of({"point": ["P1", "P2"], "c [rad]": np.radians([203.6401, 203.6402]), "a [rad]": [0.5, 0.5]})
+    machine = machine_of(settings)
+    position = near.stacked([axis.letter.lower() for axis in machine.axes]).T
+    found = positions_of(settings, machine, position, near).blocks
+    assert [len(found[f"positions of {axis}"].members) for axis in "CA"] == [2, 1]

@@ -12,17 +12,20 @@ from metrocli.adjust.model.chain import IDENTITY, Link, LinkContext, Step
 from metrocli.adjust.model.groups import Group, prior
 from metrocli.adjust.model.quantities import OfBlock, Quantity
 from metrocli.arrays import Array, Index
+from metrocli.errors import InputError
 from metrocli.frozen import dataclass
 from metrocli.result import Result
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine.problem import NETWORK
 from metrocli.tasks.shared.lists import matched
-from metrocli.uncertainty.predicted import points_of
+from metrocli.uncertainty.predicted import PredictedPlaces, points_of
 
 _SINGULAR = 1e-6
 """Share of the mean variance that no direction falls below: a free datum leaves six directions without any"""
 _FAR = 10.0
 """Plausible size of independent errors of the size 1: they are known before any reading"""
+_MOST = 1800
+"""Most errors that points have in common: each is an unknown of all readings"""
 _POINT = "point of the network"
 """Index of the point of each reading"""
 
@@ -60,23 +63,41 @@ class JointErrors(OfBlock):
 def measured_in(network: Result, points: Table) -> tuple[Array, Array, NetworkErrors]:
     """Return the places (3, n) of points in the frame of their network, a covariance (3, 3, n), and their errors.
 
-    The joint covariance is `v I + L L'`: independent errors of a variance v, half of the least one in any direction,
-    and errors in common. Together they are a generalised adjustment, in which each point keeps its own test. Raises
-    InputError for a point that the network does not have.
+    The joint covariance is that of the points' own errors with `L L'` of those in common. Together they are a
+    generalised adjustment, in which each point keeps its own test. Raises InputError for a point that the network does
+    not have, and for more common errors than fit into one table.
     """
     names = network.tables["points"].texts("point")
     places = points_of(network).of(matched(points, "point", names, "the points of the network"))
-    n, common = len(places.values), places.common.reshape(3 * len(places.values), -1)
-    joint = common @ places.core @ common.T
-    for i, own in enumerate(places.own):
-        joint[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] += own
-    values, vectors = np.linalg.eigh(joint)
-    values = np.maximum(values, _SINGULAR * values.mean())
-    white = values[0] / 2
-    root = (vectors * np.sqrt(values - white)).reshape(n, 3, -1)
-    columns = tuple(f"z{j + 1}" for j in range(3 * n))
-    block = Block(NETWORK, np.zeros((1, 3 * n)), columns, reach=np.array(_FAR))
-    known = prior(block, np.zeros(1, dtype=np.intp), np.ones((1, 3 * n)))
-    std = float(np.sqrt(np.diag(joint).max()))
+    own, root = _split(places, points)
+    n, _, count = root.shape
+    columns = tuple(f"z{j + 1}" for j in range(count))
+    block = Block(NETWORK, np.zeros((1, count)), columns, reach=np.array(_FAR))
+    known = prior(block, np.zeros(1, dtype=np.intp), np.ones((1, count)))
+    std = float(np.sqrt(np.einsum("naa->na", places.covariance).max()))
     errors = NetworkErrors({NETWORK: block}, {_POINT: np.arange(n)}, (JointErrors(NETWORK, root),), (known,), std)
-    return places.values.T, np.repeat(white * np.eye(3)[:, :, None], n, axis=2), errors
+    return places.values.T, np.moveaxis(own, 0, -1), errors
+
+
+def _split(places: PredictedPlaces, points: Table) -> tuple[Array, Array]:
+    """Return the covariance of the points' own errors (n, 3, 3), and the root L (n, 3, k) of that in common.
+
+    Of points that a network has without errors of their own, these are half of the least variance in any direction.
+    """
+    n, own = len(places.values), places.own
+    least = _SINGULAR * float(np.einsum("naa->", places.covariance)) / (3 * n)
+    apart = len(places.core) < 3 * n and bool((np.linalg.eigvalsh(own)[:, 0] > least).all())
+    count = len(places.core) if apart else 3 * n
+    if count > _MOST:
+        text = f"the {n} points have {count} errors in common, more than the {_MOST} that are estimated together"
+        raise InputError([points.fault(text, f"list at most {_MOST // 3} points of this network")])
+    if apart:
+        values, vectors = np.linalg.eigh(places.core)
+        return own, places.common @ (vectors * np.sqrt(np.maximum(values, 0.0)))
+    flat = places.common.reshape(3 * n, -1)
+    joint = (flat @ places.core @ flat.T).reshape(n, 3, n, 3)
+    joint[np.arange(n), :, np.arange(n)] += own
+    values, vectors = np.linalg.eigh(joint.reshape(3 * n, 3 * n))
+    values = np.maximum(values, least)
+    half = values[0] / 2
+    return np.broadcast_to(half * np.eye(3), own.shape), (vectors * np.sqrt(values - half)).reshape(n, 3, 3 * n)

@@ -13,7 +13,6 @@ from metrocli.frozen import dataclass
 from metrocli.instruments.axes.error_motion import positions_block
 from metrocli.instruments.machine import Machine
 from metrocli.table import Table
-from metrocli.tasks.calibrate_machine.described import placed
 from metrocli.tasks.calibrate_machine.machine_settings import ESTIMATED
 from metrocli.tasks.calibrate_machine.settings import Settings
 
@@ -39,7 +38,9 @@ def positions_of(settings: Settings, machine: Machine, position: Array, points: 
     found = PositionsOfAxes()
     for axis, own in zip(machine.axes, position, strict=True):
         if axis.letter in estimated:
-            names = [f"{run} {placed(axis, at, '')}".strip() for run, at in zip(runs.tolist(), own, strict=True)]
+            # nine digits: two positions that differ in the file must not become one
+            named = zip(runs.tolist(), np.degrees(own).tolist(), strict=True)
+            names = [f"{run} {at:.9g}".strip() for run, at in named]
             number = {name: i for i, name in enumerate(dict.fromkeys(names))}
             block = positions_block(axis.letter, list(number))
             index = {block.name: np.array([number[name] for name in names], dtype=np.intp)}
