@@ -25,6 +25,7 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from benchmarks.apart import rig
+from benchmarks.bars import Number
 from metrocli.cli.commands import run as command
 from metrocli.formats.images import read_images
 from metrocli.project.job import load
@@ -119,7 +120,9 @@ def simulated(count: int) -> bool:
     lens = np.concatenate([z[: 7 * (2 + i % 2)] for i, z in enumerate(each)])
     pose = np.concatenate([z[7 * (2 + i % 2) :] for i, z in enumerate(each)])
     rms = [float(np.sqrt(np.mean(one**2))) for one in (np.concatenate(each), lens, pose)]
-    print(f"{count} rigs: z rms {rms[0]:.3f}, of lenses {rms[1]:.3f}, of poses {rms[2]:.3f} (0.95 to 1.05)")
+    print(Number("z rms of cameras fixed to each other", f"{count} rigs", rms[0], 0.95, 1.05))
+    print(Number("  of their lenses", f"{count} rigs", rms[1]))
+    print(Number("  of their poses", f"{count} rigs", rms[2]))
     return 0.95 <= rms[0] <= 1.05
 
 
@@ -174,8 +177,8 @@ def opencv() -> bool:
     ours = [own[f"right.{key}"] for key in POSE]
     off = max(abs(one.value - other) / one.std for one, other in zip(ours, theirs, strict=True))
     used = float(fixed.statistics["rms"]["px"])  # type: ignore[index, arg-type]
-    print(f"{len(shots)} pairs: largest difference {off:.2g} standard uncertainties of 1 px noise;", end=" ")
     print(f"rms {used:.7f} px here, {rms:.7f} px there")
+    print(Number("stereo pose beside OpenCV's, largest difference", f"{len(shots)} pairs", off, most=0.01, unit="u"))
     return off < 0.01
 
 
@@ -195,9 +198,10 @@ def halves(count: int) -> bool:
         z.append([(a.value - b.value) / np.hypot(a.std, b.std) for a, b in pairs])
     rms = np.sqrt(np.mean(np.square(z), axis=0))
     names = [estimate.name for estimate in results[0].estimates]
-    print(f"{count} halvings: z rms {np.sqrt(np.mean(np.square(z))):.2f} (0.7 to 1.3); of each:")
-    print("  " + ", ".join(f"{name} {value:.2f}" for name, value in zip(names, rms, strict=True)))
-    return bool(0.7 <= np.sqrt(np.mean(np.square(z))) <= 1.3)
+    whole = Number("z rms between halves of the stereo images", f"{count} halvings", _rms(z), 0.7, 1.3)
+    print(whole)
+    print("  of each: " + ", ".join(f"{name} {value:.2f}" for name, value in zip(names, rms, strict=True)))
+    return whole.met
 
 
 def aligned(count: int) -> bool:
@@ -218,11 +222,15 @@ def aligned(count: int) -> bool:
                     rows = file["parameters"][:]
             z.append([(row["value"] - rig.TRUTH[row["name"].decode()]) / row["std"] for row in rows])
         rms = np.sqrt(np.mean(np.square(z), axis=0))
-        whole = float(np.sqrt(np.mean(np.square(z))))
-        each = ", ".join(f"{name} {value:.2f}" for name, value in zip(rig.TRUTH, rms, strict=True))
-        print(f"{count} parts seen by {' and '.join(names)}: z rms {whole:.3f} (0.95 to 1.05); of each: {each}")
-        met.append(0.95 <= whole <= 1.05)
+        whole = Number(f"z rms of a part seen by {' and '.join(names)}", f"{count} draws", _rms(z), 0.95, 1.05)
+        print(whole)
+        print("  of each: " + ", ".join(f"{name} {value:.2f}" for name, value in zip(rig.TRUTH, rms, strict=True)))
+        met.append(whole.met)
     return all(met)
+
+
+def _rms(z: list[list[float]]) -> float:
+    return float(np.sqrt(np.mean(np.square(z))))
 
 
 def main(arguments: list[str]) -> int:

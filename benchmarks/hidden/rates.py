@@ -1,13 +1,13 @@
-"""Rates over many cases, with the bounds that so many cases leave (Clopper and Pearson, 95 %)."""
+"""Rates over many diagnoses: what the promises speak of, and what stands beside it."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
+from benchmarks.bars import Number, Rate
 from benchmarks.hidden.case import Case, Found, Hidden
 from metrocli.diagnosis.diagnose import diagnose
 from metrocli.diagnosis.findings import Diagnosis, Finding
@@ -51,48 +51,6 @@ def _covers(finding: Finding, hidden: Hidden, diagnosis: Diagnosis) -> bool:
     scaled = name.covariance / size / size[:, None]
     distance = float((off / size) @ np.linalg.solve(scaled, off / size))
     return bool(distance / len(off) <= fdtri(len(off), diagnosis.noise.dof, 0.95))
-
-
-@dataclass(frozen=True)
-class Rate:
-    """How often something happened."""
-
-    what: str
-    hits: int
-    of: int
-    least: float = 0.0
-    most: float = 1.0
-
-    @property
-    def bounds(self) -> tuple[float, float]:
-        """The 95 % interval of the share (Clopper and Pearson)."""
-        from scipy.special import betaincinv
-
-        k, n = self.hits, self.of
-        low = 0.0 if k == 0 else float(betaincinv(k, n - k + 1, 0.025))
-        high = 1.0 if k == n else float(betaincinv(k + 1, n - k, 0.975))
-        return low, high
-
-    @property
-    def share(self) -> float:
-        """The share."""
-        return self.hits / self.of
-
-    @property
-    def met(self) -> bool:
-        """Whether the share is where it should be; of a band, whether the interval of the share reaches it."""
-        if self.least > 0 and self.most < 1:
-            low, high = self.bounds
-            return low <= self.most and high >= self.least
-        return self.least <= self.share <= self.most
-
-    def __str__(self) -> str:
-        low, high = self.bounds
-        wanted = f">= {self.least:.0%}" if self.least else ""
-        wanted += (" and " if wanted and self.most < 1 else "") + (f"<= {self.most:.0%}" if self.most < 1 else "")
-        verdict = "" if not wanted else ("met" if self.met else "NOT MET")
-        counted = f"{self.hits:4d}/{self.of:<4d} {self.share:7.1%} [{low:.1%}, {high:.1%}]"
-        return f"{self.what:58} {counted}  {wanted:15} {verdict}"
 
 
 Test = Callable[[Found], bool]
@@ -185,7 +143,5 @@ def print_rates(results: Sequence[Found], longest: float) -> bool:
     for rate in listed:
         print(rate)
     times = np.array([one.seconds for one in results])
-    in_time = bool(times.max() <= longest)
-    verdict = f"<= {longest:g} s  {'met' if in_time else 'NOT MET'}"
-    print(f"CPU time a case: median {np.median(times):.2f} s, largest {times.max():.2f} s  {verdict}")
-    return in_time and all(rate.met for rate in listed)
+    print(Number("CPU time of the longest diagnosis", f"{len(times)} cases", times.max(), most=longest, unit="s"))
+    return bool(times.max() <= longest) and all(rate.met for rate in listed)
