@@ -149,8 +149,8 @@ def _fitted(windows: _Windows, start: Array, still: float) -> tuple[Array, Array
     states, sigma = np.full(start.shape, np.nan), np.full(len(start), np.nan)
     rows = np.flatnonzero(windows.count >= _FEWEST)
     windows, state = windows.some(rows), start[rows]
-    unknown = np.isnan(state).any(axis=1)
-    if unknown.any():
+    unknown = np.flatnonzero(np.isnan(state).any(axis=1))
+    if len(unknown):
         state[unknown] = windows.some(unknown).first()
     for _ in range(STEPS):
         if not len(rows):
