@@ -160,7 +160,7 @@ def _fitted(windows: _Windows, start: Array, still: float) -> tuple[Array, Array
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             normal, weighted, scale = windows.normal(jacobian, 1e-9)
             right = (weighted @ residual[:, :, None])[:, :, 0] / scale
-        sound = np.isfinite(normal).all(axis=(1, 2)) & np.isfinite(right).all(axis=1)
+        sound = np.asarray(np.isfinite(normal).all(axis=(1, 2)) & np.isfinite(right).all(axis=1))
         if not sound.all():
             rows, windows, state = rows[sound], windows.some(sound), state[sound]
             jacobian, residual, normal, scale, right = (
