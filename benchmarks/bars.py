@@ -77,6 +77,5 @@ class Number:
 
     def __str__(self) -> str:
         ends = [f"{sign} {end:g}" for sign, end in ((">=", self.least), ("<=", self.most)) if abs(end) < inf]
-        return _row(
-            self.what, self.of, f"{self.value:.3g} {self.unit}".rstrip(), " and ".join(ends), _verdict(self.met)
-        )
+        verdict = "" if not ends else "met" if self.met else "NOT MET"
+        return _row(self.what, self.of, f"{self.value:.3g} {self.unit}".rstrip(), " and ".join(ends), verdict)
