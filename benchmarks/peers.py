@@ -71,6 +71,10 @@ PAIRS = (
         "opencv-python-headless", 1.0,
     ),
     Pair("the same; peer: older finder", "boards", "ours", "opencv", 13, "opencv-python-headless", quick=False),
+    Pair(
+        "20 drawn images of 5 megapixels; peer: SB finder", "boards", "ours", "opencv_sb", 20,
+        "opencv-python-headless", 1.0, quick=False,
+    ),
     Pair("lengths, 1,000 points x 4, adjustment", "lengths", "engine", "scipy", 1000, "scipy"),
     Pair("the same, 100,000 x 4", "lengths", "engine", "ceres", 100_000, "Ceres", quick=False),
     Pair(
