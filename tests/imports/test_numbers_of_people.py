@@ -64,5 +64,10 @@ def test_a_mapping_is_proposed(tmp_path: Path, metrocli: Metrocli) -> None:
     (tmp_path / "in.txt").write_text("Instrument: X\n\nPt;Dist;Temp\n1;1000,25;20,1\n2;1001,5;20,2\n")
     ran = metrocli("import", tmp_path / "in.txt")
     assert ran.code == 0
-    for words in ("separator: semicolon", "decimal: comma", "header: 3", "{column: 2, unit: mm}  # Dist, e.g. 1000,25"):
+    for words in (
+        "separator: semicolon",
+        "decimal: comma",
+        "header: 3",
+        "{column: 2, unit: UNIT}  # Dist, e.g. 1000,25",
+    ):
         assert words in ran.out
