@@ -282,7 +282,7 @@ def test_kannala_brandt_is_the_fisheye(tmp_path: Path, metrocli: Metrocli) -> No
 
 def test_each_camera_of_orb_slam_has_a_file(tmp_path: Path, metrocli: Metrocli) -> None:
     assert imported(tmp_path, TWO_EYES, "opencv", metrocli).code == 0
-    written = {path.name: path.read_text() for path in (tmp_path / "out").iterdir()}
+    written = {path.name: path.read_text() for path in (tmp_path / "out").glob("*.yaml")}
     assert sorted(written) == ["Camera1.yaml", "Camera2.yaml"]
     assert written["Camera1.yaml"].splitlines()[3:] == ["model: fisheye", *ANGULAR]
     assert "fx: 290.0 px\nfy: 291.0 px\ncx: 322.0 px\ncy: 243.0 px\nk1: 0.01\n" in written["Camera2.yaml"]
@@ -309,7 +309,7 @@ DOCUMENT = """<document version="1.5.0"><chunk><sensors>
 
 def test_each_sensor_of_a_document_of_metashape_has_a_file(tmp_path: Path, metrocli: Metrocli) -> None:
     assert imported(tmp_path, DOCUMENT, "metashape", metrocli).code == 0
-    written = {path.name: path.read_text() for path in (tmp_path / "out").iterdir()}
+    written = {path.name: path.read_text() for path in (tmp_path / "out").glob("*.yaml")}
     assert sorted(written) == ["left-8-mm-0.yaml", "right-1.yaml"]
     assert "fx: 501.0 px\nfy: 501.0 px\ncx: 321.0 px\ncy: 242.0 px\n" in written["left-8-mm-0.yaml"]
     assert "fx: 502.0 px" in written["right-1.yaml"]
