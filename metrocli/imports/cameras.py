@@ -67,7 +67,7 @@ def program_of(text: str) -> str | None:
 def _parts(lines: TextLines, program: str, text: str) -> dict[str, str]:
     """Return the text of each camera by its name; programs with one camera in a file have one part.
 
-    Raises InputError if a camera stands twice, and for XML that is none.
+    Raises InputError if a camera stands twice, and for text that is not the XML of its program.
     """
     if program == "kalibr":
         found = re.split(r"^(cam[0-9]+)\s*:", text, flags=re.MULTILINE)

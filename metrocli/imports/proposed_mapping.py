@@ -24,7 +24,7 @@ _KEYED = {"<": "XML", "{": "JSON", "[": "JSON"}
 
 
 @dataclass(frozen=True)
-class _Rows:
+class _EqualRows:
     """Rows of equal numbers of cells that follow each other in a file."""
 
     separator: str
@@ -84,11 +84,11 @@ def proposed(lines: TextLines) -> str:
     )
 
 
-def _longest(separator: str, kept: Sequence[tuple[int, str]]) -> _Rows:
+def _longest(separator: str, kept: Sequence[tuple[int, str]]) -> _EqualRows:
     """Return those rows of a file with the most numbers that follow each other with the same number of cells."""
     rows = [(number, cells_of(line, separator)) for number, line in kept]
     runs = [list(run) for _, run in groupby(rows, key=lambda row: len(row[1]))]
-    return max((_Rows(separator, run, len(runs) == 1) for run in runs), key=lambda found: found.numbers)
+    return max((_EqualRows(separator, run, len(runs) == 1) for run in runs), key=lambda found: found.numbers)
 
 
 def _removed(first: int, last: int) -> str:
