@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from metrocli.adjust.model.quantities import Quantity
+from metrocli.effects.acting import point, seen_from
 from metrocli.effects.effect import Effect, sizes
 from metrocli.effects.links.points import AxisError
 from metrocli.effects.links.shifts import Shift
@@ -12,6 +13,11 @@ MEASURED = Quantity.POINT_IN_PART
 SCALE = "scale"
 """Block of the scale, less 1"""
 EXPANSION = "part-expansion"
+PLACES = (
+    point("point-in-part", MEASURED, ("point",), *seen_from()),
+    point("point-in-machine", Quantity.POINT_IN_MACHINE, ("point",), *seen_from()),
+)
+"""Quantities on which user-defined effects can act: points as measured, and in the frame of the nominal list"""
 EFFECTS: tuple[Effect, ...] = (
     Effect(
         EXPANSION,

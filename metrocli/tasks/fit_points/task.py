@@ -16,7 +16,7 @@ from metrocli.effects.wanted import Wanted
 from metrocli.errors import InputError, NotConvergedError, UndeterminedError
 from metrocli.result import Result
 from metrocli.tasks.fit_points.diagnosis import adjusted_job, covariates
-from metrocli.tasks.fit_points.effects import EFFECTS
+from metrocli.tasks.fit_points.effects import EFFECTS, PLACES
 from metrocli.tasks.fit_points.features import features_alone
 from metrocli.tasks.fit_points.problem import POSE, PointPairs, problem_of
 from metrocli.tasks.fit_points.report import report
@@ -114,4 +114,4 @@ def _of_the_mirror_image(problem: PointPairs) -> float:
     return mirrored if np.isfinite(mirrored) else float("nan")
 
 
-TASK = Task(Files, run, check, diagnosed=diagnosed, effects=EFFECTS, covariates=covariates)
+TASK = Task(Files, run, check, diagnosed=diagnosed, effects=EFFECTS, places=PLACES, covariates=covariates)
