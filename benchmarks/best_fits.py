@@ -51,7 +51,7 @@ def drawn(hidden: str, rng: np.random.Generator) -> tuple[Table, Table, dict[str
 
 
 def cases(count: int) -> Iterator[tuple[str, tuple[str, str]]]:
-    """Yield a title of each case, and what `words` says of it."""
+    """Yield a title of each case, and the outcome in words."""
     settings = Settings(Inputs(points=Path("-"), nominal=Path("-")), noise=NOISE)
     for number in range(count):
         hidden = HIDDEN[number % len(HIDDEN)]
