@@ -224,6 +224,8 @@ def _of_matlab(lines: TextLines, text: str) -> ReadCamera:
     return camera_of(lines, "matlab", form, [read[2][1], read[2][0]], values)
 
 
+MATRIX = "(?:M|K|cameraMatrix)"
+"""Begins the key of the matrix of one of a pair of cameras, which a number ends"""
 READERS: Sequence[tuple[str, str, Callable[[TextLines, str], ReadCamera]]] = (
     ("kalibr", r"^cam[0-9]+\s*:|^\s*distortion_coeffs\s*:|^intrinsics\s*:\s*\[", _of_kalibr),
     ("mrcal", r"'lensmodel'|'imagersize'|'DISTORTION_[A-Z0-9]+'", _of_mrcal),
@@ -234,6 +236,7 @@ READERS: Sequence[tuple[str, str, Callable[[TextLines, str], ReadCamera]]] = (
     ("ros", r"^camera matrix\s*$", _of_ini),
     ("opencv", r"^projection_parameters\s*:|^Camera1?\.fx\s*:", _of_slam),
     ("opencv", r"(?i:camera_?matrix)\s*:|distortion_coefficients\s*:|image_width\s*:|^[Kk]\s*:\s*(?:\[|$)", _of_opencv),
+    ("opencv", rf"^{MATRIX}[0-9]\s*:\s*!!opencv-matrix", _of_opencv),
     ("colmap", r"^\s*[0-9]+\s+[A-Z_]*(PINHOLE|RADIAL|OPENCV|FOV|FISHEYE)[A-Z_]*\s+[0-9]+\s+[0-9]+(\s|$)", _of_colmap),
 )
 """Programs, what only their files have, and the reader"""

@@ -8,7 +8,7 @@ from xml.etree import ElementTree
 from metrocli.errors import Fault, InputError
 from metrocli.imports import Imported, ImportOptions
 from metrocli.imports.camera_fields import ReadCamera, parsed_xml
-from metrocli.imports.camera_readers import READERS
+from metrocli.imports.camera_readers import MATRIX, READERS
 from metrocli.imports.lines import TextLines
 from metrocli.instruments.lenses.forms import PROGRAMS
 from metrocli.instruments.lenses.lens import UNITS
@@ -76,11 +76,19 @@ def _parts(lines: TextLines, program: str, text: str) -> dict[str, str]:
         return _rows(lines)
     if program == "metashape":
         return _sensors(lines, text)
+    if stereo := re.findall(rf"^{MATRIX}([0-9])\s*:", text, re.MULTILINE):
+        return {f"camera-{number}": _of_pair(number, text) for number in stereo}
     several = sorted(set(re.findall(r"^(Camera[0-9])\.fx\s*:", text, re.MULTILINE)))
     return {
         name: re.sub(rf"^(?!{name}\.)Camera[0-9]\..*", "", text, flags=re.MULTILINE).replace(f"{name}.", "Camera1.")
         for name in several
     } or {"": text}
+
+
+def _of_pair(number: str, text: str) -> str:
+    """Return the text of a pair of cameras (OpenCV's stereo_calib: M1, D1, M2, D2) with the keys of one camera."""
+    matrix = re.sub(rf"^{MATRIX}{number}\s*:", "camera_matrix:", text, flags=re.MULTILINE)
+    return re.sub(rf"^(?:D|distCoeffs){number}\s*:", "distortion_coefficients:", matrix, flags=re.MULTILINE)
 
 
 def _rows(lines: TextLines) -> dict[str, str]:

@@ -315,6 +315,16 @@ def test_each_sensor_of_a_document_of_metashape_has_a_file(tmp_path: Path, metro
     assert "fx: 502.0 px" in written["right-1.yaml"]
 
 
+def test_a_pair_of_cameras_has_two_files_once_the_size_is_added(tmp_path: Path, metrocli: Metrocli) -> None:
+    one = FILESTORAGE.replace("%YAML:1.0\n", "").replace("camera_matrix", "M{0}").replace("dist_coeff", "D{0}")
+    pair = "%YAML:1.0\n" + one.format(1) + one.replace("500.", "600.").format(2)
+    ran = imported(tmp_path, pair, "opencv", metrocli)
+    assert ran.code == 3 and "add lines `image_width:`" in ran.err
+    assert imported(tmp_path, f"{pair}image_width: 640\nimage_height: 480\n", "opencv", metrocli).code == 0
+    written = {path.name: lens(path) for path in (tmp_path / "out").glob("*.yaml")}
+    assert written == {"camera-1.yaml": LENS, "camera-2.yaml": LENS | {"fx": 600.0}}
+
+
 def test_photoscan_before_f_is_refused_with_what_to_do(tmp_path: Path, metrocli: Metrocli) -> None:
     text = "<calibration><projection>frame</projection><width>640</width><height>480</height><fx>500</fx><fy>501</fy></calibration>"
     ran = imported(tmp_path, text, "metashape", metrocli)
