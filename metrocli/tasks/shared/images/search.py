@@ -12,7 +12,7 @@ from metrocli.arrays import Array
 from metrocli.errors import Fault, InputError
 from metrocli.imageset import ImageSet
 from metrocli.table import Columns, Table, columns
-from metrocli.targets.find import find
+from metrocli.targets.find import FoundTargets, find
 from metrocli.targets.pattern import Pattern
 from metrocli.tasks.shared.images.eccentricity import SIZE
 from metrocli.words import listed
@@ -55,7 +55,7 @@ def _sought(images: ImageSet, pattern: Pattern) -> tuple[Table, tuple[str, ...]]
 
 
 def _in_all(images: ImageSet, pattern: Pattern) -> tuple[Table, tuple[str, ...]]:
-    _refuse_another_board(images, pattern)
+    tried = _of_a_few(images, pattern)
     names: list[str] = []
     targets: list[str] = []
     parts: list[Array] = []
@@ -63,7 +63,7 @@ def _in_all(images: ImageSet, pattern: Pattern) -> tuple[Table, tuple[str, ...]]
     warnings: list[str] = []
     reasons: dict[str, list[str]] = {}
     for name, picture in images:
-        targets_seen = find(pattern, picture)
+        targets_seen = tried[name] if name in tried else find(pattern, picture)
         if targets_seen.reason:
             warnings.append(f"{name}: {targets_seen.reason}")
             reasons.setdefault(targets_seen.reason, []).append(name)
@@ -85,20 +85,20 @@ def _in_all(images: ImageSet, pattern: Pattern) -> tuple[Table, tuple[str, ...]]
     return table, tuple(warnings)
 
 
-def _refuse_another_board(images: ImageSet, pattern: Pattern) -> None:
-    """Raise InputError if none of a few images shows the pattern, but most of them another board.
+def _of_a_few(images: ImageSet, pattern: Pattern) -> dict[str, FoundTargets]:
+    """Return what a few images show of the pattern.
 
-    A search in vain takes a second an image, and so minutes where all images are searched.
+    Raises InputError if none shows any, but most of them another board: a search in vain takes a second an image, and
+    so minutes where all images are searched.
     """
     chosen = spread(images.names)
     found = [find(pattern, picture) for picture in images.chosen(chosen)]
-    if any(map(len, found)):
-        return
-    if board := shown_board(pattern, images, chosen):
+    if not any(map(len, found)) and (board := shown_board(pattern, images, chosen)):
         whole = len(images.names)
         few = f"{listed(chosen)}, which are searched first of {whole} images"
         tried = few if len(chosen) < whole else f"any of {whole} images"
         raise InputError(f"no target found in {tried}{board}")
+    return dict(zip(chosen, found, strict=True))
 
 
 def spread(names: Sequence[str]) -> Sequence[str]:
