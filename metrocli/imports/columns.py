@@ -255,7 +255,7 @@ def _ungrouped(text: str, thousands: str) -> str:
 def _in_degrees(
     lines: TextLines, cells: Sequence[tuple[int, str]], texts: Sequence[str]
 ) -> tuple[list[str], list[Fault]]:
-    """Return angles as total stations show them, 73.0632 for 73° 06' 32", in degrees, and a fault for each other text."""
+    """Return angles as total stations show them, 73.0632 for 73° 06' 32", in degrees, and faults."""
     degrees, faults = [], []
     for (number, shown), text in zip(cells, texts, strict=True):
         match = re.fullmatch(r"([-+]?)([0-9]+)\.?([0-9]*)", text)
