@@ -191,7 +191,7 @@ def _differs_in(one: Candidate, other: Candidate, name: str) -> bool:
 
 
 def _with_alternative(m: Measurement, number: int, alternative: Candidate, whole: Array) -> Measurement:
-    """Return a measurement with one more alternative of a family, of whole columns."""
+    """Return a measurement with one more alternative of a family, of whole columns; so has the one without weights."""
     family, seen = m.families[number], m.system.seen(whole)
     grown = replace(
         family,
@@ -201,4 +201,5 @@ def _with_alternative(m: Measurement, number: int, alternative: Candidate, whole
         gram=np.concatenate([family.gram, (seen.T @ seen)[None]]),
         whole={**family.whole, family.columns.count: OwnColumns(np.arange(len(whole)), whole)},
     )
-    return replace(m, families=(*m.families[:number], grown, *m.families[number + 1 :]))
+    bare = m.unweighted and _with_alternative(m.unweighted, number, alternative, whole / m.weights[:, None])
+    return replace(m, families=(*m.families[:number], grown, *m.families[number + 1 :]), unweighted=bare)
