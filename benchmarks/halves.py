@@ -29,7 +29,7 @@ from metrocli.targets.pattern import Pattern, pattern_points
 from metrocli.tasks.calibrate_camera import task as calibrate_camera
 from metrocli.tasks.calibrate_camera.settings import CameraSettings, Files, Inputs, Settings
 from metrocli.tasks.job import Job
-from metrocli.tasks.shared.images.sightings import OBSERVATIONS
+from metrocli.tasks.shared.images.search import OBSERVATIONS
 from metrocli.tasks.shared.images.target_list import TARGETS
 
 Array = npt.NDArray[np.float64]

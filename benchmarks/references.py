@@ -19,7 +19,7 @@ from metrocli.table import Table
 from metrocli.tasks.calibrate_camera import task as calibrate_camera
 from metrocli.tasks.calibrate_camera.settings import SCALE_BARS, CameraSettings, Files, Inputs, Settings
 from metrocli.tasks.job import Job
-from metrocli.tasks.shared.images.sightings import OBSERVATIONS
+from metrocli.tasks.shared.images.search import OBSERVATIONS
 from metrocli.tasks.shared.images.target_list import TARGETS
 
 DATA = Path(__file__).parents[2] / "shared" / "data"

@@ -33,7 +33,7 @@ from metrocli.project.runner import content
 from metrocli.result import Result
 from metrocli.targets.pattern import Pattern
 from metrocli.tasks.calibrate_camera.task import run
-from metrocli.tasks.shared.images.sightings import sight
+from metrocli.tasks.shared.images.search import sight
 
 Array = npt.NDArray[np.float64]
 STEREO = Path(__file__).parents[2] / "shared/data/opencv-chessboards"

@@ -22,6 +22,9 @@ class ImageSet(Protocol):
     def size_of(self, names: Collection[str]) -> tuple[int, int]:
         """Return width and height of these images; raises as `size`."""
 
+    def chosen(self, names: Collection[str]) -> Iterator[Picture]:
+        """Yield the images with these names; no other is read."""
+
     def __hash__(self) -> int:
         """Return the hash of what decides its content."""
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import field
+from pathlib import Path
 from typing import Any
 
 from metrocli.frozen import dataclass
@@ -77,6 +78,11 @@ class Record:
     """What the job states for a certificate (`certificate:`): texts, and mappings of texts, by key."""
     below: tuple[tuple[str, str], ...] = ()
     """Standards of the results that this one was made from, with certificate numbers; their files have them"""
+
+    def files(self, result: Path) -> tuple[Path, ...]:
+        """Return the job file and the inputs, where they were from its result on."""
+        job = result.parent / self.job_file
+        return (job, *(job.parent / file.path for file in self.inputs)) if self.job_file else ()
 
     def references(self) -> list[tuple[str, str]]:
         """Return what the result rests on, with certificate numbers.

@@ -15,7 +15,7 @@ from metrocli.tasks.calibrate_machine.files import LINES, POINTS, TRACK
 from metrocli.tasks.locate_launch_unit.readings import POSES
 from metrocli.tasks.multilaterate.settings import LENGTHS
 from metrocli.tasks.selfcal_grid.settings import VIEWS
-from metrocli.tasks.shared.images.sightings import OBSERVATIONS
+from metrocli.tasks.shared.images.search import OBSERVATIONS
 
 Rows = list[list[object]]
 CHANCE = np.random.default_rng(2053)

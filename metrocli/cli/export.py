@@ -48,11 +48,11 @@ def command(
 ) -> int:
     """Write the files of a format: as NAME into the given folder, else as RESULT.NAME beside the result.
 
-    Raises InputError if the result is not fit for use, unless that is accepted; the files then state it. Inputs of the
-    result, which an import may have written, and files that metrocli did not write are replaced with `force` only.
+    Raises InputError if the result is not fit for use, unless that is accepted; the files then state it. Files that
+    metrocli did not write are replaced with `force` only, inputs of the result never.
     """
     from metrocli.formats import csv, hdf5
-    from metrocli.formats.own_files import inside, write_all
+    from metrocli.formats.own_files import inside, refuse_inputs, write_all
 
     stored, record = hdf5.read(result)
     if record.reasons and not accept_doubtful:
@@ -60,8 +60,7 @@ def command(
         reasons = "; ".join(record.reasons)
         raise InputError([Fault(f"not fit for use ({record.status}): {reasons}", str(result), hint=hint)])
     stored = replace(stored, doubts=record.reasons)
-    folder_of_job = os.path.dirname(result.parent / record.job_file)
-    inputs = {os.path.realpath(os.path.join(folder_of_job, file.path)) for file in record.inputs}
+    inputs = (result, *record.files(result))
     if record.job_file:  # messages name it from the working folder, the result from its own
         record = replace(record, job_file=Path(os.path.relpath(result.parent / record.job_file)).as_posix())
     from metrocli.project.provenance.comparison import with_standards
@@ -74,10 +73,7 @@ def command(
         contents[path] = text.encode()
         for note in _NOTE.findall(text, 0, _HEAD):
             Console(quiet).warning(f"{path.name}: {note}")
-    used = [str(path) for path in contents if os.path.realpath(path) in inputs]
-    if used and not force:
-        hint = "choose another folder, or use --force"
-        raise InputError([Fault("the result is made from this file", path, hint=hint) for path in used])
+    refuse_inputs(contents, inputs)
     return print_files(write_all(contents, force), as_json, quiet, status=record.status)
 
 

@@ -41,6 +41,7 @@ def command(
     from metrocli.cli import summary, terminal
     from metrocli.cli.diagnosis_report.next_readings import next_lines
     from metrocli.diagnosis.next_readings.choice import as_data
+    from metrocli.formats.own_files import refuse_inputs
     from metrocli.project import planned, runner
     from metrocli.project.job import JobOptions, kind_of_job, load
 
@@ -53,7 +54,9 @@ def command(
     plan = runner.plan(loaded)
     revealed = None if reveal is None else _revealing(job, reveal, wishes)
     text = summary.json_of_plan(plan, folder, {} if revealed is None else as_data(revealed))
-    written = list(planned.write(planned.files_of(plan), text, folder))
+    files = planned.files_of(plan)
+    refuse_inputs((folder / name for name in files), (*loaded.stated_in, *loaded.files))
+    written = list(planned.write(files, text, folder))
     if not as_json:
         for line in (terminal.plan_text(plan, loaded.text), *map(str, written)):
             console.print(line)

@@ -34,9 +34,10 @@ from metrocli.tasks import KINDS
 def command(job: Path, out: Path, seed: int, images: bool, quiet: bool, force: bool, **wishes: Any) -> int:
     """Simulate; write tables, images and truth.json; print their paths."""
     from metrocli.cli.summary import as_json as json_text
+    from metrocli.formats.own_files import refuse_inputs
     from metrocli.project import runner
     from metrocli.project.job import JobOptions, kind_of_job, load
-    from metrocli.project.simulated import write
+    from metrocli.project.simulated import TRUTH, write
 
     if out.exists() and not force and (not out.is_dir() or any(out.iterdir())):
         raise InputError([Fault("the folder is not empty", str(out), hint="name a new one, or use --force")])
@@ -45,10 +46,14 @@ def command(job: Path, out: Path, seed: int, images: bool, quiet: bool, force: b
     accept, effects = wishes["accept_doubtful"], wishes["effects"]
     asked = JobOptions(wishes["overrides"], not_needed=not_needed, effects=effects, accept_doubtful=accept)
     loaded = load(job, asked)
-    written = list(write(runner.simulate(loaded, SimulationOptions(seed, images)), out))
+    simulation = runner.simulate(loaded, SimulationOptions(seed, images))
+    if not (out / TRUTH).is_file():  # readings that an earlier simulation wrote are none of an instrument
+        written = (out / name for name in (*simulation.files, *(name for name, _ in simulation.pictures)))
+        refuse_inputs(written, (*loaded.stated_in, *loaded.files))
+    paths = list(write(simulation, out))
     if wishes["as_json"]:
-        echo(json_text({"files": list(map(str, written))}))
+        echo(json_text({"files": list(map(str, paths))}))
         return 0
-    for path in written:
+    for path in paths:
         Console(quiet).print(str(path))
     return 0

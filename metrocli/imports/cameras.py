@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import re
+from xml.etree import ElementTree
 
 from metrocli.errors import Fault, InputError
 from metrocli.imports import Imported, ImportOptions
-from metrocli.imports.camera_readers import READERS, ReadCamera
+from metrocli.imports.camera_fields import ReadCamera, parsed_xml
+from metrocli.imports.camera_readers import MATRIX, READERS
 from metrocli.imports.lines import TextLines
 from metrocli.instruments.lenses.forms import PROGRAMS
 from metrocli.instruments.lenses.lens import UNITS
@@ -38,7 +40,7 @@ def as_yaml(lines: TextLines) -> str | None:
     """
     cameras = _cameras(lines)
     if len(cameras) > 1:
-        program = "kalibr" if "cam0" in cameras else "colmap"
+        program = program_of("\n".join(lines.lines))
         hint = f"`metrocli import {lines.file} --from {program}` writes a file for each: name one of these in the job"
         raise InputError([lines.fault(f"the file has the cameras {', '.join(cameras)}", None, hint)])
     return next(iter(cameras.values()), None)
@@ -65,22 +67,56 @@ def program_of(text: str) -> str | None:
 def _parts(lines: TextLines, program: str, text: str) -> dict[str, str]:
     """Return the text of each camera by its name; programs with one camera in a file have one part.
 
-    Raises InputError if a camera stands twice.
+    Raises InputError if a camera stands twice, and for text that is not the XML of its program.
     """
     if program == "kalibr":
         found = re.split(r"^(cam[0-9]+)\s*:", text, flags=re.MULTILINE)
         return dict(zip(found[1::2], found[2::2], strict=True)) or {"": text}
     if program == "colmap":
-        rows = [(number, line, line.split()[0]) for number, line in lines.without("#")]
-        again = [
-            lines.fault(f"camera {key} stands twice", n)
-            for i, (n, _, key) in enumerate(rows)
-            if key in [r[2] for r in rows[:i]]
-        ]
-        if again:
-            raise InputError(again)
-        return {f"camera-{key}": line for _, line, key in rows}
-    return {"": text}
+        return _rows(lines)
+    if program == "metashape":
+        return _sensors(lines, text)
+    if stereo := re.findall(rf"^{MATRIX}([0-9])\s*:", text, re.MULTILINE):
+        return {f"camera-{number}": _of_pair(number, text) for number in stereo}
+    several = sorted(set(re.findall(r"^(Camera[0-9])\.fx\s*:", text, re.MULTILINE)))
+    return {
+        name: re.sub(rf"^(?!{name}\.)Camera[0-9]\..*", "", text, flags=re.MULTILINE).replace(f"{name}.", "Camera1.")
+        for name in several
+    } or {"": text}
+
+
+def _of_pair(number: str, text: str) -> str:
+    """Return the text of a pair of cameras (OpenCV's stereo_calib: M1, D1, M2, D2) with the keys of one camera."""
+    matrix = re.sub(rf"^{MATRIX}{number}\s*:", "camera_matrix:", text, flags=re.MULTILINE)
+    return re.sub(rf"^(?:D|distCoeffs){number}\s*:", "distortion_coefficients:", matrix, flags=re.MULTILINE)
+
+
+def _rows(lines: TextLines) -> dict[str, str]:
+    """Return the line of each camera of COLMAP; raises InputError if a camera stands twice."""
+    rows = [(number, line, line.split()[0]) for number, line in lines.without("#")]
+    again = [
+        lines.fault(f"camera {key} stands twice", n)
+        for i, (n, _, key) in enumerate(rows)
+        if key in [r[2] for r in rows[:i]]
+    ]
+    if again:
+        raise InputError(again)
+    return {f"camera-{key}": line for _, line, key in rows}
+
+
+def _sensors(lines: TextLines, text: str) -> dict[str, str]:
+    """Return the calibration of each sensor of a document of Metashape: the adjusted one, else the initial one."""
+    root = parsed_xml(lines, text)
+    if root.tag == "calibration":
+        return {"": text}
+    found = dict[str, ElementTree.Element]()
+    for sensor in root.iter("sensor"):
+        name = f"{re.sub(r'[^0-9A-Za-z.-]+', '-', sensor.get('label') or 'sensor')}-{sensor.get('id')}"
+        for each in sorted(sensor.iter("calibration"), key=lambda each: each.get("class") != "initial"):
+            found[name] = each
+    alone = root.find(".//calibration")
+    found = found or ({"": alone} if alone is not None else {})
+    return {name: ElementTree.tostring(each, encoding="unicode") for name, each in found.items()} or {"": text}
 
 
 def _written(lines: TextLines, program: str, camera: ReadCamera) -> str:

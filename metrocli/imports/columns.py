@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import re
 from collections.abc import Iterator, Sequence
+from decimal import Decimal
 from pathlib import Path
 
 from metrocli import units
@@ -35,6 +36,8 @@ from metrocli.words import suggestion
 _THOUSANDS = {"point": ".", "comma": ",", "space": " \u00a0\u202f", "apostrophe": "'\u2019"}
 """Signs that group digits, each with its spellings"""
 ENCODINGS = ("utf-8", "latin-1", "cp1252", "utf-16")
+SEXAGESIMAL = "d.mmss"
+"""Degrees, minutes and seconds as one number, a unit of files of total stations only"""
 SEPARATORS = {"comma": ",", "semicolon": ";", "tab": "\t", "space": " "}
 
 
@@ -110,6 +113,8 @@ def files(lines: TextLines, wishes: ImportOptions) -> Imported:
             if columns[name].dimension != TEXT and mapping.thousands:
                 values = [(number, _ungrouped(text, mapping.thousands)) for number, text in values]
             texts, wrong = _read(lines, values, columns[name], mapping.decimal == "comma")
+            if source.unit == SEXAGESIMAL and not wrong:
+                texts, wrong = _in_degrees(lines, values, texts)
             cells.append([with_sign(text, int(source.sign)) for text in texts])
             faults += wrong
     if faults:
@@ -224,6 +229,7 @@ def _faults_of(column: Column, source: ColumnSource, node: Node, names: Sequence
             yield node.fault(f"{column.name} has no unit: leave `unit` out")
         return
     known = {unit.symbol for unit in units.DIMENSIONS[column.dimension].units}
+    known |= {SEXAGESIMAL} if column.dimension == "angle" else set()
     if source.unit not in known:
         phrase = units.DIMENSIONS[column.dimension].phrase
         reason = "has no unit" if source.unit is None else f"has the unit '{source.unit}'"
@@ -233,6 +239,8 @@ def _faults_of(column: Column, source: ColumnSource, node: Node, names: Sequence
 def _heading(column: Column, source: ColumnSource) -> str:
     if source.unit is None:
         return column.name
+    if source.unit == SEXAGESIMAL:
+        return f"{column.name}_deg"
     ending = next(ending for ending, unit in units.suffixes(column.dimension).items() if unit.symbol == source.unit)
     return f"{column.name}_{ending}"
 
@@ -242,6 +250,25 @@ def _ungrouped(text: str, thousands: str) -> str:
     signs = _THOUSANDS[thousands]
     whole = re.fullmatch(rf"[-+]?[0-9]{{1,3}}([{re.escape(signs)}][0-9]{{3}})+([.,][0-9]*)?", text)
     return re.sub(f"[{re.escape(signs)}]", "", text) if whole else text
+
+
+def _in_degrees(
+    lines: TextLines, cells: Sequence[tuple[int, str]], texts: Sequence[str]
+) -> tuple[list[str], list[Fault]]:
+    """Return angles as total stations show them, 73.0632 for 73° 06' 32", in degrees, and faults."""
+    degrees, faults = [], []
+    for (number, shown), text in zip(cells, texts, strict=True):
+        match = re.fullmatch(r"([-+]?)([0-9]+)\.?([0-9]*)", text)
+        digits = match[3].ljust(4, "0") if match else "99"
+        minutes, seconds = Decimal(digits[:2]), Decimal(f"{digits[2:4] or '0'}.{digits[4:] or '0'}")
+        if text and (match is None or minutes >= 60 or seconds >= 60):
+            hint = "expected degrees, then two digits of minutes and two of seconds, such as 73.0632"
+            faults.append(lines.fault(f"'{shown}' is not an angle in {SEXAGESIMAL}", number, hint))
+        elif match is not None:
+            value = Decimal(match[2]) + minutes / 60 + seconds / 3600
+            text = f"{match[1]}{value.quantize(Decimal('1e-10'))}"
+        degrees.append(text)
+    return degrees, faults
 
 
 def _read(

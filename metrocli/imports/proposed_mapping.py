@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Sequence
+from itertools import groupby
 
 from metrocli import units
 from metrocli.errors import InputError
@@ -17,12 +18,14 @@ _LOOKED_AT = 50
 """Rows that are looked at for their signs"""
 _PIXELS = ("pixel", "pixels", "pix")
 _COMMENTS = ("//", "%", ";", "!", "'", "*")
+_KEY = re.compile(r"\s*(?:-\s+)?(?:\[|[\w.]+\s*:(?:\s|$)\s*)")
+"""A key of YAML, or a list in brackets"""
 _KEYED = {"<": "XML", "{": "JSON", "[": "JSON"}
 
 
 @dataclass(frozen=True)
-class _TailRows:
-    """Rows of equal numbers of cells at the end of a file."""
+class _EqualRows:
+    """Rows of equal numbers of cells that follow each other in a file."""
 
     separator: str
     rows: Sequence[tuple[int, Sequence[str]]]
@@ -46,23 +49,28 @@ def proposed(lines: TextLines) -> str:
     plain = list(lines.without("#"))
     if not plain:
         raise InputError([lines.fault("the file has no rows")])
-    if name := _KEYED.get(plain[0][1].strip()[0]):
+    keys = [_KEY.match(line) for _, line in plain]
+    nested = any(key and key.end() == len(line) for key, (_, line) in zip(keys, plain, strict=True))
+    yaml = "YAML" if nested and 2 * sum(map(bool, keys)) > len(keys) else None
+    if name := _KEYED.get(plain[0][1].strip()[0], yaml):
         raise InputError([lines.fault(f"this is {name} that no format of `import --from` has", plain[0][0])])
-    found = max((_at_the_end(sign, plain) for sign in SEPARATORS.values()), key=lambda rows: (rows.numbers, rows.whole))
+    found = max((_longest(sign, plain) for sign in SEPARATORS.values()), key=lambda rows: (rows.numbers, rows.whole))
     if not found.numbers:
         hint = "expected rows with the same number of cells, separated by comma, semicolon, tab or space"
         raise InputError([lines.fault("this is no table of numbers", plain[0][0], hint)])
     first = next(place for place, (_, cells) in enumerate(found.rows) if any(map(_is_number, cells)))
     data, names = found.rows[first:], found.rows[first - 1][1] if first else ()
     before = [(n, line) for n, line in plain if n < found.rows[0][0] and not names]
+    after = [n for n, _ in plain if n > found.rows[-1][0]]
     mark = _comment([line for _, line in before])
     decimal, thousands = _signs([cell for _, row in data[:_LOOKED_AT] for cell in row if _is_number(cell)])
     word = next(name for name, sign in SEPARATORS.items() if sign == found.separator)
     return "\n".join(
         [
-            f"# mapping for {lines.file}: name job and input; name each QUANTITY, delete those that no job reads",
+            f"# mapping for {lines.file}: name job, input, each QUANTITY and UNIT; delete columns that no job reads",
             f"# then: metrocli import {lines.file} --map map.yaml",
-            *([f"# remove lines {before[0][0]} to {before[-1][0]}: no rows"] if before and not mark else []),
+            *([_removed(before[0][0], before[-1][0])] if before and not mark else []),
+            *([_removed(after[0], after[-1])] if after else []),
             "job: multilaterate",
             "input: lengths",
             f"separator: {word}",
@@ -76,12 +84,15 @@ def proposed(lines: TextLines) -> str:
     )
 
 
-def _at_the_end(separator: str, kept: Sequence[tuple[int, str]]) -> _TailRows:
-    """Return the last rows of a file that have the same number of cells with a separator."""
+def _longest(separator: str, kept: Sequence[tuple[int, str]]) -> _EqualRows:
+    """Return those rows of a file with the most numbers that follow each other with the same number of cells."""
     rows = [(number, cells_of(line, separator)) for number, line in kept]
-    width = len(rows[-1][1])
-    other = [place for place, (_, cells) in enumerate(rows) if len(cells) != width]
-    return _TailRows(separator, rows[other[-1] + 1 :] if other else rows, not other)
+    runs = [list(run) for _, run in groupby(rows, key=lambda row: len(row[1]))]
+    return max((_EqualRows(separator, run, len(runs) == 1) for run in runs), key=lambda found: found.numbers)
+
+
+def _removed(first: int, last: int) -> str:
+    return f"# remove {f'line {first}' if first == last else f'lines {first} to {last}'}: no rows of this table"
 
 
 def _signs(numbers: Sequence[str]) -> tuple[str, str]:
@@ -100,10 +111,10 @@ def _comment(lines: Sequence[str]) -> str:
 
 
 def _columns(names: Sequence[str], sample: Sequence[str]) -> Iterator[str]:
-    """Yield the line of each column: text has no unit, a number the one that its name states, else mm."""
+    """Yield the line of each column: text has no unit, a number the one that its name states, else UNIT."""
     for place, cell in enumerate(sample, 1):
         name = names[place - 1] if names else ""
-        source = f"{{column: {place}, unit: {_unit(name) or 'mm'}}}" if _is_number(cell) else f"{{column: {place}}}"
+        source = f"{{column: {place}, unit: {_unit(name) or 'UNIT'}}}" if _is_number(cell) else f"{{column: {place}}}"
         said = "" if not _is_number(cell) or _unit(name) else "; the file states no unit"
         yield f"  QUANTITY{place}: {source}  # {f'{name}, ' if name else ''}e.g. {cell}{said}"
 

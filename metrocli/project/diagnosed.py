@@ -39,6 +39,7 @@ from metrocli.effects.own import columns
 from metrocli.errors import Fault, InputError, NotConvergedError, UndeterminedError, UsageError
 from metrocli.formats.csv_text import numeric
 from metrocli.formats.file_bytes import atomic_write
+from metrocli.formats.own_files import refuse_inputs
 from metrocli.frozen import dataclass
 from metrocli.nodes import Node, node_of, relocated
 from metrocli.progress import SILENT, Named, Progress, counted
@@ -157,17 +158,16 @@ def write_extended(
     `result` is the output of that job, by default `NAME.extended.h5` beside the output of this one. Structure that is
     left stands in it as correlated errors, as a law with `cause: unknown` (the chosen one, or the next simpler one with
     which the job can be adjusted), or as structured noise. Returns None if nothing changes.
-    Raises InputError if the file there is no extended job or was edited since it was written, unless forced. Parameters
-    that the readings do not determine separately are 0. In another folder, the paths lead to the same files.
+    In another folder, its paths lead to the same files. Parameters that the readings do not determine separately are 0.
+    Raises InputError if the file there is no extended job or was edited since, unless forced, and if it is an input.
     """
     path = path or job.file.with_name(f"{job.file.stem}.extended.yaml")
-    confirmed = any(finding.confirmed for finding in diagnosis.findings)
-    shared = proposed_noise(diagnosis) or proposed_correlated(diagnosis)
-    others = bool(confirmed or diagnosis.scatters or shared or _correction(diagnosis))
+    stated = proposed_noise(diagnosis) or proposed_correlated(diagnosis) or _correction(diagnosis)
+    others = bool(stated or diagnosis.scatters or any(finding.confirmed for finding in diagnosis.findings))
     if not others and diagnosis.law is None:
         return None
-    if not force:
-        _refuse_foreign(path)
+    refuse_inputs([path], (*job.stated_in, *job.files))
+    _refuse_foreign(path, force)
     for law in _from_the_chosen(diagnosis):
         _write(job, diagnosis, law, (path, result))
         if _adjusts(path):
@@ -213,9 +213,9 @@ def _write(job: JobFile, diagnosis: Diagnosis, law: Law | None, place: tuple[Pat
         aside.write_text(text, encoding="utf-8")
 
 
-def _refuse_foreign(path: Path) -> None:
-    """Raise InputError if a file exists that is not an extended job, or one that was edited."""
-    if not path.is_file():
+def _refuse_foreign(path: Path, force: bool) -> None:
+    """Raise InputError if a file exists that is not an extended job, or one that was edited, unless forced."""
+    if force or not path.is_file():
         return
     try:
         first, _, rest = path.read_text(encoding="utf-8", errors="replace").partition("\n")

@@ -11,6 +11,9 @@ from metrocli.formats.file_bytes import atomic_write
 from metrocli.formats.own_files import inside
 from metrocli.simulation import Simulation
 
+TRUTH = "truth.json"
+"""The file in which a simulation states what it assumed"""
+
 
 def write(simulation: Simulation, folder: Path) -> Iterator[Path]:
     """Write tables, images and truth.json into a folder; yield each path once its file is written.
@@ -27,7 +30,7 @@ def write(simulation: Simulation, folder: Path) -> Iterator[Path]:
 
         images.write(path, picture())
         yield path
-    path = folder / "truth.json"
+    path = folder / TRUTH
     with atomic_write(path) as aside:
         aside.write_text(json.dumps(dict(simulation.truth), indent=2) + "\n", encoding="utf-8")
     yield path

@@ -35,9 +35,10 @@ def find(pattern: Pattern, picture: Picture) -> FoundTargets:
     seen = eight_bit(picture)
     corners, ids, _, markers = cv2.aruco.CharucoDetector(_board(pattern)).detectBoard(seen)
     if ids is None or len(ids) < FEWEST:
-        message = f"no ChArUco board: {0 if ids is None else len(ids)} corners found, {FEWEST} are needed"
-        other = _other_board(pattern, seen, 0 if markers is None else len(markers))
-        return nothing(f"{message}; {other}" if other else message)
+        count, shown = (0 if found is None else len(found) for found in (ids, markers))
+        hint = "check columns, rows and dictionary" if shown else "check the dictionary, or is there no board?"
+        message = f"no ChArUco board: {count} corners found, {FEWEST} are needed"
+        return nothing(f"{message}; {shown} markers of {pattern.dictionary} are found: {hint}")
     ids, start = np.asarray(ids).ravel(), np.asarray(corners, dtype=float).reshape(-1, 2)
     steps = lattice(pattern)
     reason = order_fault(steps[ids], start)
@@ -53,19 +54,26 @@ def find(pattern: Pattern, picture: Picture) -> FoundTargets:
     return points([named[place] for place in ids[good]], uv[good], spread[good])
 
 
-def _other_board(pattern: Pattern, seen: Picture, markers: int) -> str:
-    """Return which other board the image shows, and what to write; empty if none of those tried.
+def other_layout(pattern: Pattern, picture: Picture, dictionary: str) -> str:
+    """Return what to write for the ChArUco board that an image shows, in words; empty if no layout tried is found.
 
-    Where markers are found, their layout is another one; else they are of another dictionary.
+    Its markers are of this dictionary. Columns and rows are tried exchanged, and as counts of squares.
     """
-    count = 0
-    for other, write in _layouts(pattern) if markers >= FEWEST else _dictionaries(pattern):
+    seen = eight_bit(picture)
+    own = dictionary == _whole(pattern.dictionary)
+    named = "" if own else f"dictionary: {dictionary}"
+    same = pattern if own else replace(pattern, dictionary=dictionary)
+    for other, write in ((same, ""), *_layouts(same)):
         ids = cv2.aruco.CharucoDetector(_board(other)).detectBoard(seen)[1]
-        count = 0 if ids is None else len(ids)
-        if count >= FEWEST:
-            return f"with `{write}` there are {count}"
-    hint = "check columns, rows and dictionary" if markers else "check the dictionary, or is there no board?"
-    return f"{markers} markers of {pattern.dictionary} are found: {hint}"
+        if ids is not None and len(ids) >= FEWEST and (named or write):
+            return f"a ChArUco board: with `{', '.join(filter(None, (named, write)))}` there are {len(ids)} corners"
+    return ""
+
+
+def _whole(dictionary: str) -> str:
+    """Return the largest dictionary tried that has the markers of a dictionary."""
+    bits, _, count = dictionary.rpartition("_")
+    return f"{bits}_250" if count in ("50", "100", "1000") else dictionary
 
 
 def _layouts(pattern: Pattern) -> Iterator[tuple[Pattern, str]]:
@@ -77,15 +85,6 @@ def _layouts(pattern: Pattern) -> Iterator[tuple[Pattern, str]]:
         for n, m in ((columns, rows), (rows - 1, columns - 1), (columns - 1, rows - 1)):
             if n > 1 and m > 1 and (n, m) != (rows, columns):
                 yield replace(pattern, rows=n, columns=m, legacy=legacy), f"columns: {m}, rows: {n}{words}"
-
-
-def _dictionaries(pattern: Pattern) -> Iterator[tuple[Pattern, str]]:
-    for name in DICTIONARIES:
-        other = name[0] != pattern.dictionary[0] or not name[0].isdigit()
-        if other and name != pattern.dictionary and not name.endswith(("_50", "_100", "_1000")):
-            for legacy in (pattern.legacy, not pattern.legacy):
-                words = f", legacy: {str(legacy).lower()}" if legacy != pattern.legacy else ""
-                yield replace(pattern, dictionary=name, legacy=legacy), f"dictionary: {name}{words}"
 
 
 def artwork(pattern: Pattern) -> tuple[Array, int]:
@@ -115,14 +114,18 @@ def _dictionary(name: str) -> cv2.aruco.Dictionary:
     return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{name.upper()}"))
 
 
-def markers_in(picture: Picture) -> tuple[str, int]:
-    """Return the dictionary of which an image shows the most markers, and their number."""
-    seen, counts = eight_bit(picture), dict[str, int]()
-    for name in DICTIONARIES:
-        if not name.endswith(("_50", "_100", "_1000")):
-            ids = cv2.aruco.ArucoDetector(_dictionary(name)).detectMarkers(seen)[1]
-            counts[name] = 0 if ids is None else len(ids)
-    return max(counts.items(), key=lambda count: count[1])
+def markers_in(picture: Picture) -> str:
+    """Return the dictionary of which an image shows the most markers; empty if no dictionary has FEWEST of them."""
+    whole = sorted({_whole(name) for name in DICTIONARIES})
+    counts = {name: count_markers(picture, name) for name in whole}
+    name = max(counts, key=lambda name: counts[name])
+    return name if counts[name] >= FEWEST else ""
+
+
+def count_markers(picture: Picture, dictionary: str) -> int:
+    """Return how many markers of a dictionary an image shows."""
+    ids = cv2.aruco.ArucoDetector(_dictionary(dictionary)).detectMarkers(eight_bit(picture))[1]
+    return 0 if ids is None else len(ids)
 
 
 def _sizes(pattern: Pattern) -> tuple[float, float]:

@@ -12,7 +12,7 @@ import numpy as np
 from metrocli.arrays import Picture
 from metrocli.targets import blobs
 from metrocli.targets.aprilgrid import tags_in
-from metrocli.targets.charuco import markers_in
+from metrocli.targets.charuco import FEWEST, count_markers, markers_in, other_layout
 from metrocli.targets.chessboard import shown_size
 from metrocli.targets.find import find
 from metrocli.targets.pattern import Pattern
@@ -21,36 +21,53 @@ _SIDE = 1000
 """Chessboards are searched in images reduced to about this longer side, in pixels"""
 _SHARE = 0.5
 """A board is likely if more than this share of the images shows it"""
-_MARKERS, _TAGS = 6, 4
-"""Fewest markers in an image of a ChArUco board, and tags in one of an AprilTag grid"""
+_TAGS = 4
+"""Fewest tags in an image of an AprilTag grid"""
 
 
 def likely_board(pattern: Pattern, pictures: Iterable[Picture]) -> str:
-    """Return the board that most pictures show and the keys to write for it; empty if none is likely."""
+    """Return the board that most pictures show and the keys to write for it; empty if none is likely.
+
+    The search for markers takes seconds a picture: one picture decides where there is a chessboard.
+    """
     reduced = [_reduced(picture) for picture in pictures]
     if sum(len(tags_in(picture)[0]) >= _TAGS for picture in reduced) > _SHARE * len(reduced):
         own = pattern.type == "aprilgrid"  # its search has named what does not fit
         return "" if own else "AprilTags with a border of two cells: is it type: aprilgrid?"
-    if pattern.type in ("circles", "asymmetric-circles"):
-        if size := _likely_circles(pattern, reduced):
-            return _in_words(size, "")
-        if circles := _shown_circles(pattern, reduced):
-            return f"{circles} circles, and the pattern of the job has {pattern.shape[0] * pattern.shape[1]}"
-    if pattern.type == "charuco" and _marked(reduced):
-        return ""  # its search has named other layouts and dictionaries
-    sizes = [size for picture in reduced if (size := shown_size(picture)) is not None]
-    size = max(sizes, key=sizes.count, default=None)
-    if size is not None and sizes.count(size) > _SHARE * len(reduced):
-        return _in_words(size, "" if pattern.type == "chessboard" else "type: chessboard, ")
-    name = "" if pattern.type == "charuco" else _marked(reduced)
-    return f"markers of {name}: is it type: charuco, dictionary: {name}?" if name else ""
+    circles = pattern.type in ("circles", "asymmetric-circles")
+    if circles and (size := _likely_circles(pattern, reduced)):
+        return _in_words(size, "")
+    for place, picture in enumerate(reduced):
+        if marked := _marked(pattern, picture, reduced):
+            return marked
+        if place == 0 and (chess := _chessboard(pattern, reduced)):
+            return chess
+    if circles and (count := _shown_circles(pattern, reduced)):
+        return f"{count} circles, and the pattern of the job has {pattern.shape[0] * pattern.shape[1]}"
+    return ""
 
 
-def _marked(pictures: Sequence[Picture]) -> str:
-    """Return the dictionary of the markers that most pictures show; empty if they show none."""
-    names = [name for name, count in map(markers_in, pictures) if count >= _MARKERS]
-    name = max(names, key=names.count, default="")
-    return name if names.count(name) > _SHARE * len(pictures) else ""
+def _chessboard(pattern: Pattern, pictures: Sequence[Picture]) -> str:
+    """Return the chessboard that most pictures show, if its corners are found: OpenCV takes circles for one, too."""
+    sizes = [shown_size(picture) for picture in pictures]
+    size = max(filter(None, sizes), key=sizes.count, default=None)
+    if size is None or sizes.count(size) <= _SHARE * len(pictures):
+        return ""
+    board = Pattern("chessboard", columns=size[0], rows=size[1], pitch=1.0)
+    shown = [picture for picture, seen in zip(pictures, sizes, strict=True) if seen == size]
+    if not any(len(find(board, picture)) for picture in shown):
+        return ""
+    return _in_words(size, "" if pattern.type == "chessboard" else "type: chessboard, ")
+
+
+def _marked(pattern: Pattern, picture: Picture, pictures: Sequence[Picture]) -> str:
+    """Return the board of the markers that a picture shows, if most pictures show markers of their dictionary."""
+    name = markers_in(picture)
+    if not name or sum(count_markers(other, name) >= FEWEST for other in pictures) <= _SHARE * len(pictures):
+        return ""
+    if pattern.type == "charuco":
+        return other_layout(pattern, picture, name) or f"markers of {name}: check columns and rows"
+    return f"markers of {name}: is it type: charuco, dictionary: {name}?"
 
 
 def _in_words(size: tuple[int, int], kind: str) -> str:

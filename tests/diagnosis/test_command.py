@@ -315,9 +315,12 @@ def test_a_report_says_how_far_the_shape_of_an_effect_was_checked() -> None:
 def test_an_extended_job_takes_the_place_of_no_other_file(folder: Path, metrocli: Metrocli) -> None:
     job = write(folder, measured("dead-path-drift"))
     before = (folder / "lengths.csv").read_bytes()
-    ran = metrocli("diagnose", job, "--out", "lengths.csv")
+    (folder / "notes.txt").write_bytes(before)
+    ran = metrocli("diagnose", job, "--out", "notes.txt")
     assert (ran.code, "is not an extended job" in ran.err) == (3, True)
-    assert (folder / "lengths.csv").read_bytes() == before
+    ran = metrocli("diagnose", job, "--out", "lengths.csv", "--force")
+    assert (ran.code, "which the job reads" in ran.err) == (3, True)
+    assert (folder / "lengths.csv").read_bytes() == (folder / "notes.txt").read_bytes() == before
 
 
 def test_a_noise_that_the_job_estimates_is_not_called_declared() -> None:

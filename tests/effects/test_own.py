@@ -174,6 +174,7 @@ def test_polar_variables_have_the_derivatives_of_their_values() -> None:
 def test_every_kind_has_its_reading_and_its_points_as_places(kind: str) -> None:
     least = {
         "multilaterate": {"length", "point-in-machine"},
+        "fit-points": {"point-in-part", "point-in-machine"},
         "locate-launch-unit": {"angle", "distance", "point-in-machine"},
         "selfcal-grid": {"coordinates", "point-in-machine"},
         "calibrate-machine": {"error-motion", "coordinates", "point-in-machine", "point-in-tracker"},

@@ -36,8 +36,10 @@ def test_a_file_of_others_is_kept(words: tuple[str, ...], file: str, job: Path, 
     Path(file).write_bytes(kept)
     refused = metrocli(*words)
     assert (refused.code, Path(file).read_bytes()) == (3, kept), refused.err
-    assert f"{file}: error: the file exists, and metrocli did not write it so" in refused.err
-    if file != "readings.csv":
+    if file == "readings.csv":
+        assert metrocli(*words, "--force").code == 3 and Path(file).read_bytes() == kept
+    else:
+        assert f"{file}: error: the file exists, and metrocli did not write it so" in refused.err
         assert metrocli(*words, "--force").code == 0
         written = Path(file).read_bytes()
         assert written != kept
@@ -73,9 +75,23 @@ def test_an_export_does_not_replace_what_the_result_is_made_from(job: Path, metr
     assert metrocli("straight-line", str(job)).code == 0
     refused = metrocli("export", "results/line.h5", "--to", "csv", "--out", "data")
     assert (refused.code, Path("data/residuals.csv").read_bytes()) == (3, readings)
-    assert "data/residuals.csv: error: the result is made from this file" in refused.err
+    assert "data/residuals.csv: error: would overwrite this file, which the job reads" in refused.err
     assert not Path("data/estimates.csv").exists()
-    assert metrocli("export", "results/line.h5", "--to", "csv", "--out", "data", "--force").code == 0
+    assert metrocli("export", "results/line.h5", "--to", "csv", "--out", "data", "--force").code == 3
+    assert Path("data/residuals.csv").read_bytes() == readings
+
+
+@pytest.mark.parametrize(
+    "command",
+    ["report results/line.h5 --out readings.csv", "plot results/line.h5 residuals --save results/line.h5.png",
+     "report results/line.h5 --out {job}", "report results/line.h5 --out results/line.h5"],
+)  # fmt: skip
+def test_an_input_is_never_an_output(command: str, job: Path, metrocli: Callable[..., Any]) -> None:
+    job.write_text(job.read_text() + "output: results/line.h5\n")
+    assert metrocli("straight-line", str(job)).code == 0
+    held = {path: path.read_bytes() for path in (job, Path("readings.csv"), Path("results/line.h5"))}
+    metrocli(*command.format(job=job).split(), "--force")
+    assert {path: path.read_bytes() for path in held} == held
 
 
 def test_a_closed_folder_is_named_by_the_file_that_was_asked_for(

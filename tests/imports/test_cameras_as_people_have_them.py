@@ -210,7 +210,7 @@ def test_several_cameras_have_a_file_each(
 
 def test_a_file_without_the_size_of_the_images_is_complete_with_it(tmp_path: Path, metrocli: Metrocli) -> None:
     ran = imported(tmp_path, FILESTORAGE, "opencv", metrocli)
-    assert ran.code == 3 and "add `image_width: 640` and `image_height: 480`" in ran.err
+    assert ran.code == 3 and "add lines `image_width:` and `image_height:`" in ran.err
     assert imported(tmp_path, f"{FILESTORAGE}image_width: 640\nimage_height: 480\n", "opencv", metrocli).code == 0
     assert lens(tmp_path / "out" / "camera.yaml") == LENS
 
@@ -224,8 +224,111 @@ def test_coefficients_of_a_fisheye_under_another_name_are_refused(tmp_path: Path
 
 
 def test_another_model_with_the_same_keys_is_refused(tmp_path: Path, metrocli: Metrocli) -> None:
-    ran = imported(tmp_path, CAMODOCAL.replace("PINHOLE", "KANNALA_BRANDT"), "opencv", metrocli)
-    assert ran.code == 3 and "the model KANNALA_BRANDT is not known here" in ran.err
+    ran = imported(tmp_path, CAMODOCAL.replace("PINHOLE", "MEI"), "opencv", metrocli)
+    assert ran.code == 3 and "the model MEI is not known here" in ran.err
+
+
+KANNALA = """%YAML:1.0
+model_type: KANNALA_BRANDT
+image_width: 640
+image_height: 480
+projection_parameters:
+   k2: -0.01
+   k3: 0.02
+   k4: -0.03
+   k5: 0.004
+   mu: 280.0
+   mv: 281.0
+   u0: 321.0
+   v0: 242.0
+"""
+TWO_EYES = """%YAML:1.0
+Camera.type: "KannalaBrandt8"
+Camera1.fx: 280.0
+Camera1.fy: 281.0
+Camera1.cx: 321.0
+Camera1.cy: 242.0
+Camera1.k1: -0.01
+Camera1.k2: 0.02
+Camera1.k3: -0.03
+Camera1.k4: 0.004
+Camera2.fx: 290.0
+Camera2.fy: 291.0
+Camera2.cx: 322.0
+Camera2.cy: 243.0
+Camera2.k1: 0.01
+Camera2.k2: 0.0
+Camera2.k3: 0.0
+Camera2.k4: 0.0
+Camera.width: 640
+Camera.height: 480
+"""
+ANGULAR = [
+    "fx: 280.0 px",
+    "fy: 281.0 px",
+    "cx: 321.0 px",
+    "cy: 242.0 px",
+    "k1: -0.01",
+    "k2: 0.02",
+    "k3: -0.03",
+    "k4: 0.004",
+]
+
+
+def test_kannala_brandt_is_the_fisheye(tmp_path: Path, metrocli: Metrocli) -> None:
+    assert imported(tmp_path, KANNALA, "opencv", metrocli).code == 0
+    assert (tmp_path / "out" / "camera.yaml").read_text().splitlines()[3:] == ["model: fisheye", *ANGULAR]
+
+
+def test_each_camera_of_orb_slam_has_a_file(tmp_path: Path, metrocli: Metrocli) -> None:
+    assert imported(tmp_path, TWO_EYES, "opencv", metrocli).code == 0
+    written = {path.name: path.read_text() for path in (tmp_path / "out").glob("*.yaml")}
+    assert sorted(written) == ["Camera1.yaml", "Camera2.yaml"]
+    assert written["Camera1.yaml"].splitlines()[3:] == ["model: fisheye", *ANGULAR]
+    assert "fx: 290.0 px\nfy: 291.0 px\ncx: 322.0 px\ncy: 243.0 px\nk1: 0.01\n" in written["Camera2.yaml"]
+
+
+def test_a_camera_of_mrcal_with_its_older_keys(tmp_path: Path, metrocli: Metrocli) -> None:
+    text = "{{\n 'distortion_model': 'DISTORTION_{}',\n 'intrinsics': [500, 501, 321, 242{}],\n 'dimensions': [640, 480],\n}}\n"
+    for model, terms, last in (("OPENCV4", ", -0.1, 0.02, 0.001, -0.002", "p2: -0.002"), ("NONE", "", "cy: 242 px")):
+        assert imported(tmp_path, text.format(model, terms), "mrcal", metrocli).code == 0
+        assert (tmp_path / "out" / "camera.yaml").read_text().splitlines()[-1] == last
+
+
+DOCUMENT = """<document version="1.5.0"><chunk><sensors>
+<sensor id="0" label="left, 8 mm" type="frame"><resolution width="640" height="480"/>
+<calibration type="frame" class="adjusted"><resolution width="640" height="480"/><f>501</f><cx>1.5</cx><cy>2.5</cy>
+</calibration>
+<calibration type="frame" class="initial"><resolution width="640" height="480"/><f>400</f></calibration></sensor>
+<sensor id="1" label="right" type="frame"><resolution width="640" height="480"/>
+<calibration type="frame" class="initial"><resolution width="640" height="480"/><f>502</f></calibration></sensor>
+<sensor id="2" label="spare" type="frame"><resolution width="640" height="480"/></sensor>
+</sensors></chunk></document>
+"""
+
+
+def test_each_sensor_of_a_document_of_metashape_has_a_file(tmp_path: Path, metrocli: Metrocli) -> None:
+    assert imported(tmp_path, DOCUMENT, "metashape", metrocli).code == 0
+    written = {path.name: path.read_text() for path in (tmp_path / "out").glob("*.yaml")}
+    assert sorted(written) == ["left-8-mm-0.yaml", "right-1.yaml"]
+    assert "fx: 501.0 px\nfy: 501.0 px\ncx: 321.0 px\ncy: 242.0 px\n" in written["left-8-mm-0.yaml"]
+    assert "fx: 502.0 px" in written["right-1.yaml"]
+
+
+def test_a_pair_of_cameras_has_two_files_once_the_size_is_added(tmp_path: Path, metrocli: Metrocli) -> None:
+    one = FILESTORAGE.replace("%YAML:1.0\n", "").replace("camera_matrix", "M{0}").replace("dist_coeff", "D{0}")
+    pair = "%YAML:1.0\n" + one.format(1) + one.replace("500.", "600.").format(2)
+    ran = imported(tmp_path, pair, "opencv", metrocli)
+    assert ran.code == 3 and "add lines `image_width:`" in ran.err
+    assert imported(tmp_path, f"{pair}image_width: 640\nimage_height: 480\n", "opencv", metrocli).code == 0
+    written = {path.name: lens(path) for path in (tmp_path / "out").glob("*.yaml")}
+    assert written == {"camera-1.yaml": LENS, "camera-2.yaml": LENS | {"fx": 600.0}}
+
+
+def test_photoscan_before_f_is_refused_with_what_to_do(tmp_path: Path, metrocli: Metrocli) -> None:
+    text = "<calibration><projection>frame</projection><width>640</width><height>480</height><fx>500</fx><fy>501</fy></calibration>"
+    ran = imported(tmp_path, text, "metashape", metrocli)
+    assert ran.code == 3 and "fx and fy in place of f" in ran.err and "export it again" in ran.err
 
 
 def test_a_list_of_coefficients_on_its_line(tmp_path: Path, metrocli: Callable[..., Any]) -> None:

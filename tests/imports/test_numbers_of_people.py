@@ -64,5 +64,34 @@ def test_a_mapping_is_proposed(tmp_path: Path, metrocli: Metrocli) -> None:
     (tmp_path / "in.txt").write_text("Instrument: X\n\nPt;Dist;Temp\n1;1000,25;20,1\n2;1001,5;20,2\n")
     ran = metrocli("import", tmp_path / "in.txt")
     assert ran.code == 0
-    for words in ("separator: semicolon", "decimal: comma", "header: 3", "{column: 2, unit: mm}  # Dist, e.g. 1000,25"):
+    for words in (
+        "separator: semicolon",
+        "decimal: comma",
+        "header: 3",
+        "{column: 2, unit: UNIT}  # Dist, e.g. 1000,25",
+    ):
         assert words in ran.out
+
+
+def test_angles_in_degrees_minutes_and_seconds(tmp_path: Path, metrocli: Metrocli) -> None:
+    (tmp_path / "map.yaml").write_text(
+        "job: adjust-network\ninput: readings\nseparator: space\nheader: none\ncolumns:\n  station: {value: S}\n"
+        "  point: {column: 1}\n  hz: {column: 2, unit: d.mmss}\n  zd: {column: 3, unit: d.mmss}\n  d: {column: 4, unit: m}\n"
+    )
+    (tmp_path / "in.txt").write_text("1 73.0632 90.2450 3.513\n2 21.0602 56.30 4.696\n3 -0.00001 100 5\n")
+    words = ("import", tmp_path / "in.txt", "--map", tmp_path / "map.yaml", "--out", tmp_path / "out")
+    assert metrocli(*words).code == 0
+    rows = [line.split(",") for line in (tmp_path / "out" / "readings.csv").read_text().splitlines()[1:]]
+    assert rows[0] == ["station", "point", "hz_deg", "zd_deg", "d_m"]
+    read = [[float(cell) for cell in row[2:4]] for row in rows[1:]]
+    expected = [
+        [73 + 6 / 60 + 32 / 3600, 90 + 24 / 60 + 50 / 3600],
+        [21 + 6 / 60 + 2 / 3600, 56.5],
+        [-0.1 / 3600, 100.0],
+    ]
+    assert all(
+        abs(a - b) < 1e-9 for one, other in zip(read, expected, strict=True) for a, b in zip(one, other, strict=True)
+    )
+    (tmp_path / "in.txt").write_text("1 73.0662 90.2450 3.513\n2 21.7002 56.30 4.696\n")
+    ran = metrocli(*words)
+    assert ran.code == 3 and "'73.0662' is not an angle in d.mmss" in ran.err and "'21.7002'" in ran.err

@@ -27,7 +27,7 @@ from metrocli.adjust.dense_jacobian import unit_noise
 from metrocli.effects.effect import Effect
 from metrocli.effects.extension import with_conditions
 from metrocli.effects.model import Model
-from metrocli.geometry.poses import pose_from_euler
+from metrocli.geometry.poses import pose_from_euler, rotation_of
 from metrocli.instruments.tracker import FACE
 from metrocli.project.inputs import read_inputs
 from metrocli.project.job import load
@@ -47,6 +47,10 @@ from metrocli.tasks.calibrate_machine.methods.probing import probing
 from metrocli.tasks.calibrate_machine.methods.six_dof import six_dof
 from metrocli.tasks.calibrate_machine.methods.standstill import standstill
 from metrocli.tasks.calibrate_machine.noise_settings import MachineNoise
+from metrocli.tasks.fit_points.problem import problem_of as pairs_of
+from metrocli.tasks.fit_points.settings import Files as FitFiles
+from metrocli.tasks.fit_points.settings import Inputs as FitInputs
+from metrocli.tasks.fit_points.settings import Settings as FitSettings
 from metrocli.tasks.locate_launch_unit import problem as launch_problem
 from metrocli.tasks.locate_launch_unit import readings as launch_readings
 from metrocli.tasks.multilaterate.problem import build
@@ -323,7 +327,19 @@ def marks_as_files() -> dict[str, Table]:
     return {name: Table.of(columns) for name, columns in tables.items()}
 
 
+def fit_points(effect: Effect) -> Model:
+    """30 points of a part of about a metre, as measured by a turned machine, exact to 1 um."""
+    rng = np.random.default_rng(8)
+    measured = rng.uniform(-500.0, 500.0, (30, 3))
+    pose = np.array([120.0, -300.0, 80.0, 0.2, -0.4, 1.1])
+    nominal = measured @ rotation_of(pose).T + pose[:3]
+    lists = [Table.of({"point": [f"P{i}" for i in range(30)], "x y z [mm]": places}) for places in (measured, nominal)]
+    settings = FitSettings(FitInputs(points=Path("-"), nominal=Path("-")), noise=0.001)
+    return with_conditions(pairs_of(settings, FitFiles(*lists)).model(pose, 1.0))
+
+
 MEASURED: dict[str, Measured] = {
+    "fit-points": Measured(fit_points, {}),
     "calibrate-camera": Measured(lambda effect: with_conditions(calibration(effect)), {}),
     "align-part": Measured(lambda effect: with_conditions(alignment(effect)), {}),
     "calibrate-machine": Measured(calibrate_machine, {"period": 37.0, "periods": 40.0, "length": 30.0, "at": 900.0}),

@@ -70,11 +70,12 @@ def command(
     if form is None and root is not None:
         form = "columns"
     if form is None:
-        from metrocli.imports.known_files import format_of
+        from metrocli.imports.known_files import format_of, must_be_read
         from metrocli.imports.proposed_mapping import proposed
 
         if known := format_of(lines):
             raise UsageError(f"{file} is a file for --from {known}: metrocli import {file} --from {known}")
+        must_be_read(lines)
         echo(proposed(lines))
         return 0
     texts = imported(form, lines, ImportOptions(root, unit))

@@ -38,7 +38,7 @@ def command(result: Path, name: str | None, save: Path | None, as_json: bool, **
     A file that metrocli did not write is replaced with `force` only.
     """
     from metrocli.formats import hdf5
-    from metrocli.formats.own_files import write_all
+    from metrocli.formats.own_files import refuse_inputs, write_all
 
     stored, record = hdf5.read(result)
     given = wanted["diagnosis"]
@@ -49,6 +49,7 @@ def command(result: Path, name: str | None, save: Path | None, as_json: bool, **
         return _list(stored, beside, as_json)
     path = save or result.with_name(f"{result.stem}.{name}.svg")
     data = _drawn(stored, name, path, beside, wanted["dark"])
+    refuse_inputs([path], (result, *record.files(result)))
     return print_files(write_all({path: data}, wanted["force"]), as_json, wanted["quiet"])
 
 

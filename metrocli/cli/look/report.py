@@ -54,7 +54,7 @@ def command(
 
     A file that metrocli did not write is replaced with `force` only.
     """
-    from metrocli.formats.own_files import write_all
+    from metrocli.formats.own_files import refuse_inputs, write_all
 
     project = place.is_dir() or place.name == PROJECT_FILE
     if project and diagnosis is not None:
@@ -70,7 +70,20 @@ def command(
     if pdf:
         console.doing("printing the pages as PDF")
         files |= _printed(pages, console.count)
+    refuse_inputs(files, _inputs(place, project))
     return print_files(write_all(files, force), as_json, quiet)
+
+
+def _inputs(place: Path, project: bool) -> Iterator[Path]:
+    """Yield what the jobs of a project read, or the job of a result."""
+    from metrocli.formats import hdf5
+    from metrocli.project.steps import load_project
+
+    if not project:
+        yield from (place, *hdf5.read(place)[1].files(place))
+        return
+    for step in load_project(place, accept_doubtful=True):
+        yield from (*step.job.stated_in, *step.job.files, step.job.output)
 
 
 def _printed(pages: Mapping[Path, str], done: Counter) -> dict[Path, bytes]:

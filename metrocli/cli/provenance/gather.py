@@ -21,7 +21,7 @@ def command(project: Path, out: Path, only: tuple[str, ...], force: bool, as_jso
     """Write the table; a row for each result, with whether it is up to date."""
     from metrocli.cli import summary
     from metrocli.formats import csv
-    from metrocli.formats.own_files import write_all
+    from metrocli.formats.own_files import refuse_inputs, write_all
     from metrocli.project.provenance.comparison import table_of
     from metrocli.project.staleness import states
     from metrocli.project.steps import load_project, selected
@@ -29,6 +29,8 @@ def command(project: Path, out: Path, only: tuple[str, ...], force: bool, as_jso
     steps = load_project(project, accept_doubtful=True)
     chosen = {step.name for step in selected(steps, only, None)}
     table = table_of(state for state in states(steps) if state.step.name in chosen)
+    for step in steps:
+        refuse_inputs([out], (*step.job.stated_in, *step.job.files, step.job.output))
     list(write_all({out: csv.to_text(table).encode()}, force))
     if as_json:
         echo(summary.json_of_table(table))

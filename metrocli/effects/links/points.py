@@ -41,7 +41,15 @@ class AxisError(OfBlock):
 
     moved: int
     along: int
-    takes = gives = Quantity.POINT_IN_MACHINE
+    quantity: Quantity = Quantity.POINT_IN_MACHINE
+    """In whose frame the axes are"""
+
+    @property
+    def takes(self) -> Quantity:
+        """The quantity on which it acts."""
+        return self.quantity
+
+    gives = takes
 
     def step(self, value: Array, local: LinkContext) -> Step:
         """Return the point (3, n)."""

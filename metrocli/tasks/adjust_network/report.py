@@ -68,7 +68,12 @@ def report(solved: AdjustedNetwork, noise: NoiseFound) -> Result:
         arrays=arrays | effect_arrays,
         warnings=tuple(_warnings(solved, solution)),
         shown=tuple(_shown(solved)),
-        notes=(*found_notes(noise), *noise_notes(solution, cures=(_REMOVE,)), *_datum_note(solved, placed)),
+        notes=(
+            *found_notes(noise),
+            *noise_notes(solution, cures=(_REMOVE,)),
+            *_datum_note(solved, placed),
+            *(f"its list decides, since a mirror image fits as well: {place.words}" for place in solved.second[:_ONCE]),
+        ),
         details=noise.details([estimate.name for estimate in delivered]),
         plain=("dof",),
         list_offset=solved.list_offset,

@@ -23,7 +23,9 @@ from metrocli.tasks.adjust_network.datum import FREEDOMS, open_by_given
 from metrocli.tasks.adjust_network.groups import GIVEN_POINTS, ROW, is_sighting
 from metrocli.tasks.adjust_network.noise import component
 from metrocli.tasks.adjust_network.problem import Network
+from metrocli.tasks.adjust_network.second_places import decided_places
 from metrocli.tasks.adjust_network.settings import GIVEN, Settings
+from metrocli.tasks.shared.mirror import Mirrored
 from metrocli.words import in_a_row
 
 _POINTS_NEAR = 0.02
@@ -55,6 +57,8 @@ class AdjustedNetwork:
     rejected: tuple[SuspectedReading, ...]
     """Readings left out"""
     critical: float
+    second: tuple[Mirrored, ...] = ()
+    """Places whose mirror image fits as well; the lists decide"""
 
     @property
     def read(self) -> tuple[Residuals, ...]:
@@ -98,7 +102,8 @@ def solve(settings: Settings, network: Network, remove: bool) -> AdjustedNetwork
         worst = tuple(suspect for suspect in solved.suspects if suspect.test >= most / 2)
         return _Used(_without(solved.network, solved.solution, worst), (*used.out, *worst)), True
 
-    return in_rounds(begun, lambda used: _adjusted(used), renewed)[1]
+    solved = in_rounds(begun, lambda used: _adjusted(used), renewed)[1]
+    return replace(solved, second=decided_places(solved.network, solved.solution))
 
 
 @dataclass(frozen=True)

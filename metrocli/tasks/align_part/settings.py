@@ -27,6 +27,7 @@ from metrocli.table import Columns, Table, columns
 from metrocli.targets.pattern import Pattern
 from metrocli.tasks.align_part.fixturing import SUPPORTS
 from metrocli.tasks.shared.figures import POSE, adjusted
+from metrocli.tasks.shared.images.search import OBSERVATIONS
 from metrocli.tasks.shared.images.settings import (
     CAMERA_FILES,
     CameraFile,
@@ -37,7 +38,6 @@ from metrocli.tasks.shared.images.settings import (
     shutter_setting,
     targets_setting,
 )
-from metrocli.tasks.shared.images.sightings import OBSERVATIONS
 from metrocli.tasks.shared.images.target_list import TARGETS
 from metrocli.tasks.shared.noise import NOISE_HELP
 from metrocli.tasks.shared.part import Part

@@ -29,6 +29,7 @@ from metrocli.targets.board_in_words import board_in_words
 from metrocli.targets.pattern import Pattern
 from metrocli.tasks.calibrate_camera.multi_camera.truth import CameraSimulation
 from metrocli.tasks.shared.figures import POSE, adjusted
+from metrocli.tasks.shared.images.search import OBSERVATIONS
 from metrocli.tasks.shared.images.settings import (
     ESTIMATE,
     SPLINE,
@@ -38,7 +39,6 @@ from metrocli.tasks.shared.images.settings import (
     shutter_setting,
     targets_setting,
 )
-from metrocli.tasks.shared.images.sightings import OBSERVATIONS
 from metrocli.tasks.shared.images.target_list import TARGETS
 from metrocli.tasks.shared.noise import NOISE_HELP
 

@@ -16,17 +16,20 @@ from metrocli.adjust.model.groups import Group, priors
 from metrocli.adjust.model.observations import Observations
 from metrocli.adjust.model.quantities import Quantity
 from metrocli.arrays import Array, Index
+from metrocli.effects.model import Model, Place
 from metrocli.errors import InputError, UndeterminedError
 from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.instruments.frames import OutOf, PointOf
 from metrocli.table import Table
+from metrocli.tasks.fit_points.effects import SCALE
 from metrocli.tasks.fit_points.settings import ESTIMATED, Files, Settings
 from metrocli.tasks.shared.lists import refuse, sigmas
 from metrocli.tasks.shared.rounding import rounding_of
 from metrocli.words import listed, nearest
 
-POINT, POSE, SCALE = "point", "pose", "scale"
+POINT, POSE = "point", "pose"
+AXES, PAIRS = ("x", "y", "z"), ("xy", "xz", "yz")
 _EXACT = 1e-5
 """Standard uncertainty of an exact coordinate, relative to that of the points laid onto it"""
 _FEWEST, _ASKED = 3, 20
@@ -37,14 +40,14 @@ _REACH = 10.0
 
 @dataclass(frozen=True)
 class Scaled:
-    """Link from a point to `s x`, s the only member of the block of scales."""
+    """Link from a point to `(1 + s) x`, s the only member of the block of scales."""
 
     takes = gives = Quantity.POINT_IN_PART
     blocks = (SCALE,)
 
     def step(self, value: Array, local: LinkContext) -> Step:
-        """Return `s x` (3, n), with its derivatives by the point and by the scale."""
-        scale = float(local.members(SCALE)[0, 0])
+        """Return `(1 + s) x` (3, n), with its derivatives by the point and by the scale."""
+        scale = 1.0 + float(local.members(SCALE)[0, 0])
         return Step(scale * value, scale * np.eye(3)[:, :, None], {SCALE: value[:, None, :]})
 
 
@@ -85,19 +88,26 @@ class PointPairs:
         """Rows of the points all of whose nominal coordinates are used."""
         return np.flatnonzero(np.isfinite(self.nominal).all(axis=1))
 
-    def blocks(self, pose: Array, scale: float) -> dict[str, Block]:
-        """Return the blocks at starting values."""
+    def model(self, pose: Array, scale: float) -> Model:
+        """Return the model at starting values, to which effects can be added."""
+        blocks = self._blocks(pose, scale)
+        groups = self._groups(blocks)
+        places = {"point": Place(self.names, POINT), "axis": Place(AXES), "pair": Place(PAIRS)}
+        measured = tuple(group.name for group in groups if group.name in AXES)
+        return Model(blocks, groups, measured=measured, places=places)
+
+    def _blocks(self, pose: Array, scale: float) -> dict[str, Block]:
         extent = float(np.ptp(self.measured, axis=0).max()) or 1.0
         reach = np.array([_REACH * extent] * 3 + [_REACH] * 3)
         free = np.isfinite(self.measured_sigma) & (self.measured_sigma > 0)
         blocks = (
             Block(POINT, self.measured, ("x", "y", "z"), self.names, free, np.array(extent / 10), noun="point"),
             Block(POSE, pose[None], poses.COLUMNS, reach=reach, space=Space.POSE),
-            Block(SCALE, np.array([[scale]]), ("scale",), free=np.array(self.scale), reach=np.array(0.1)),
+            Block(SCALE, np.array([[scale - 1.0]]), ("scale",), free=np.array(self.scale), reach=np.array(0.1)),
         )
         return {block.name: block for block in blocks}
 
-    def groups(self, blocks: dict[str, Block]) -> tuple[Group, ...]:
+    def _groups(self, blocks: dict[str, Block]) -> tuple[Group, ...]:
         """Return a group of readings for each axis, and what the list of measured points observes."""
         return (*(group for axis in range(3) if (group := self._along(axis)) is not None), *self._known(blocks[POINT]))
 

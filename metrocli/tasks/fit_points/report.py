@@ -11,13 +11,18 @@ from metrocli.adjust.model.groups import Group
 from metrocli.adjust.robust import FitQuality, Suspects, suspects
 from metrocli.adjust.solution import Residuals, Solution, residuals_of
 from metrocli.arrays import Array, Index
+from metrocli.effects.estimates import estimates as estimates_of_effects
+from metrocli.effects.estimates import free_blocks
+from metrocli.effects.estimates import tables as effect_results
+from metrocli.effects.model import Added
 from metrocli.geometry import poses
 from metrocli.result import SCALE as ABOUT_ONE
 from metrocli.result import Estimate, Result, ShownTable
 from metrocli.table import Table
 from metrocli.tasks.fit_points import KIND
+from metrocli.tasks.fit_points.effects import SCALE
 from metrocli.tasks.fit_points.features import FeaturePoints, FittedFeatures, fitted_features, own_sigma
-from metrocli.tasks.fit_points.problem import POINT, POSE, SCALE, PointPairs
+from metrocli.tasks.fit_points.problem import POINT, POSE, PointPairs
 from metrocli.tasks.shared.features.wanted import RequestedFeature
 from metrocli.tasks.shared.rounding import without_rounding
 from metrocli.tasks.shared.statistics import basic_statistics, noise_notes, noise_warnings, residual_table, with_noise
@@ -31,16 +36,26 @@ _RIGID = 6
 """Unknowns of a transformation without a scale"""
 
 
-def report(problem: PointPairs, solution: Solution, mirrored: float, wanted: Sequence[RequestedFeature] = ()) -> Result:
-    """Return the result of a solved best fit; `mirrored` is the root mean square deviation of the mirror image [mm]."""
+def report(
+    problem: PointPairs,
+    solved: tuple[Solution, Sequence[Added]],
+    mirrored: float,
+    wanted: Sequence[RequestedFeature] = (),
+) -> Result:
+    """Return the result of a best fit that is solved, with effects in its model.
+
+    `mirrored` is the root mean square deviation of the mirror image [mm].
+    """
+    solution, added = solved
     estimated = problem.estimated
     factor = solution.sigma0 if estimated and solution.dof > 0 else 1.0
     exact = estimated and factor * problem.start_noise <= problem.rounding
     rounding, factor = (problem.rounding, 0.0) if exact else (0.0, factor)
     of_angles = rounding / (float(np.ptp(problem.measured, axis=0).max()) or 1.0)
-    pose, scale = solution.blocks[POSE].values[0], float(solution.blocks[SCALE].values[0, 0])
-    names = (POSE, SCALE) if problem.scale else (POSE,)
-    covariance = solution.joint(names) * factor**2
+    pose, scale = solution.blocks[POSE].values[0], 1.0 + float(solution.blocks[SCALE].values[0, 0])
+    scaled = bool(solution.blocks[SCALE].free.any())
+    certain = replace(solution, covariance=solution.covariance_or_raise().scaled(factor**2))
+    covariance = certain.joint((POSE, *((SCALE,) if scaled else ()), *free_blocks(added)))
     groups = solution.groups[: sum(group.name in "xyz" for group in solution.groups)]
     read = [residuals_of(solution, group) for group in groups]
     everything = [residuals_of(solution, group) for group in solution.groups]
@@ -49,9 +64,10 @@ def report(problem: PointPairs, solution: Solution, mirrored: float, wanted: Seq
     )
     tested = suspects(_merged(everything), FitQuality(solution.cost, solution.dof, not estimated))
     worst = _by_point(problem, tested, members)
-    moved, std = _moved(problem, pose, scale, covariance, factor)
+    own = _RIGID + scaled
+    moved, std = _moved(problem, (pose, scale), covariance[:own, :own], factor)
     moved = without_rounding(moved, rounding)
-    laid = _laid_features(problem, wanted, (pose, scale), covariance, factor)
+    laid = _laid_features(problem, wanted, (pose, scale), covariance[:own, :own], factor)
     off = without_rounding(moved - problem.nominal, rounding)
     change = np.eye(len(covariance))
     change[:6, :6] = poses.euler_form_by_step(pose)
@@ -61,8 +77,9 @@ def report(problem: PointPairs, solution: Solution, mirrored: float, wanted: Seq
     values = np.concatenate(parts).tolist()
     rows = [*zip(poses.EULER, values, stds, ("mm",) * 3 + ("rad",) * 3, strict=False)]
     estimates = [Estimate(name, value, s, unit) for name, value, s, unit in rows]
-    if problem.scale:
+    if scaled:
         estimates.append(Estimate("scale", values[6], stds[6], "1", ABOUT_ONE))
+    estimates += estimates_of_effects(added, certain)
     distance = np.sqrt(np.nansum(off**2, axis=1))
     size = float(np.sqrt((distance**2).mean()))
     statistics = basic_statistics(solution, {"mm": size}) | {"points": len(problem.names), "mirrored_rms": mirrored}
@@ -82,7 +99,9 @@ def report(problem: PointPairs, solution: Solution, mirrored: float, wanted: Seq
         ),
         "suspects": Table.of({"point [text]": list(worst), "w": list(worst.values())}),
     }
-    arrays = {"rotation": poses.rotation_of(pose)}
+    effect_tables, arrays = effect_results(added, certain)
+    tables |= effect_tables
+    arrays = {"rotation": poses.rotation_of(pose), **arrays}
     result = Result(
         kind=KIND.name,
         title="",
@@ -95,7 +114,7 @@ def report(problem: PointPairs, solution: Solution, mirrored: float, wanted: Seq
         shown=(ShownTable("points"),),
         notes=tuple(_notes(problem, solution, size, mirrored, exact)),
     )
-    return result if laid is None else laid.added_to(result, covariance @ change.T)
+    return result if laid is None else laid.added_to(result, covariance[:own] @ change.T)
 
 
 def _in_noise(residuals: Residuals, factor: float) -> Residuals:
@@ -147,11 +166,12 @@ def _turned(points: Array, pose: Array, scale: float, unknowns: int) -> tuple[Ar
     return turned + pose[:3], slope
 
 
-def _moved(problem: PointPairs, pose: Array, scale: float, covariance: Array, factor: float) -> tuple[Array, Array]:
+def _moved(problem: PointPairs, at: tuple[Array, float], covariance: Array, factor: float) -> tuple[Array, Array]:
     """Return the measured points after the transformation (n, 3), and their standard uncertainties.
 
     These are of the transformation at the point, and of the point itself where its list gives one.
     """
+    pose, scale = at
     moved, slope = _turned(problem.measured, pose, scale, len(covariance))
     variance = np.einsum("nak,kl,nal->na", slope, covariance, slope)
     own = np.nan_to_num(problem.measured_sigma) ** 2 @ (poses.rotation_of(pose).T ** 2)

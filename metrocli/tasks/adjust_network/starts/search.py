@@ -17,6 +17,7 @@ from metrocli.geometry import poses
 from metrocli.instruments.tracker import cartesian
 from metrocli.tasks.adjust_network.readings import NetworkReadings
 from metrocli.tasks.adjust_network.starts.agreement import NetworkStart, disagreement, fitted, list_offset, must_agree
+from metrocli.tasks.adjust_network.starts.by_lengths import placed_by_lengths
 from metrocli.words import listed
 
 _ENOUGH = 200
@@ -193,6 +194,7 @@ def start(readings: NetworkReadings) -> NetworkStart:
         _onto_list(search, given)
     search.intersect()
     _must_be_joined(search)
+    search.points = placed_by_lengths(readings, search.points)
     must_agree(readings, search.found())
     return search.found()
 

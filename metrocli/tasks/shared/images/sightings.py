@@ -4,32 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import lru_cache
 
 import numpy as np
 
-from metrocli import copies
 from metrocli.adjust.model.observations import Observations
 from metrocli.arrays import Array, Index, Mask
 from metrocli.errors import Fault, InputError, UndeterminedError
 from metrocli.frozen import dataclass
 from metrocli.imageset import ImageSet
-from metrocli.table import Columns, Table, columns
-from metrocli.targets.find import find
+from metrocli.table import Table
 from metrocli.targets.pattern import CORNERS, Pattern
 from metrocli.tasks.shared.images.eccentricity import SIZE
+from metrocli.tasks.shared.images.search import shown_board, sight
 from metrocli.tasks.shared.images.settings import ImageSettings
 from metrocli.tasks.shared.images.target_list import TargetCoordinates, known_targets
 from metrocli.words import listed
 
-OBSERVATIONS = Columns(
-    columns("image target [text]", "u v sigma? [pixel]", "t? [time]", "temp? [temperature]"),
-    key=("image", "target"),
-    description="image coordinates of targets",
-    measured=("u", "v"),
-    alike=("target",),
-    group=("image",),
-)
 START_NOISE = 0.1
 """Starting value of the noise [px] if it is estimated"""
 
@@ -41,8 +31,6 @@ _EXCHANGED = 0.02
 """A smaller share of readings outside is no sign of exchanged columns: these put a strip of the image outside"""
 _MOST_LOST = 1 / 3
 """Largest share of the images that is left out with a warning"""
-_TRIED = 3
-"""Images in which other sizes of the pattern are searched"""
 
 
 @dataclass(frozen=True)
@@ -114,17 +102,8 @@ def _refuse_few(sighted: Sighted, names: Sequence[str], pattern: Pattern | None,
     if len(lost) <= _MOST_LOST * whole:
         return
     text = f"{len(lost)} of {whole} images cannot be used, more than a third: {listed(lost, 5)}"
-    size = _shown_board(pattern, images, lost) if pattern is not None and images is not None else ""
+    size = shown_board(pattern, images, lost) if pattern is not None and images is not None else ""
     raise InputError([Fault(text + size, hint="; ".join(sighted.warnings[:3]))])
-
-
-def _shown_board(pattern: Pattern, images: ImageSet, lost: Sequence[str]) -> str:
-    """Return the end of a message, with the board that some of the lost images show; empty without one."""
-    from metrocli.targets.likely_board import likely_board  # OpenCV takes longer to load than most jobs without images
-
-    chosen = set(lost[:: max(len(lost) // _TRIED, 1)][:_TRIED])
-    board = likely_board(pattern, (picture for name, picture in images if name in chosen))
-    return f"; they show {board}" if board else ""
 
 
 def placed(sighted: Sighted, least: Index) -> Sighted:
@@ -160,59 +139,6 @@ def _eccentric(settings: ImageSettings, sighted: Sighted, measured: bool) -> boo
     circular = settings.pattern is not None and settings.pattern.type not in CORNERS
     automatic = settings.eccentricity == "auto" and measured and circular
     return known and (settings.eccentricity == "correct" or automatic)
-
-
-def sight(images: ImageSet, pattern: Pattern) -> tuple[Table, tuple[str, ...]]:
-    """Find the targets of a pattern in images; return them as a table of observations, with warnings.
-
-    A single dot has another place in each image, so it is named after the image (file name without its ending). Raises
-    InputError if no image shows a target, or one cannot be read.
-    """
-    observed = _sought(images, pattern)
-    if isinstance(observed, InputError):
-        raise InputError(observed.faults)
-    return observed
-
-
-@lru_cache(maxsize=1)
-def _sought(images: ImageSet, pattern: Pattern) -> tuple[Table, tuple[str, ...]] | InputError:
-    """Return what `sight` returns or raises.
-
-    The last one is kept, whatever it is: other readings of the tables beside the images are tried on the same images
-    many times.
-    """
-    try:
-        return _in_all(images, pattern)
-    except InputError as error:
-        return error
-
-
-def _in_all(images: ImageSet, pattern: Pattern) -> tuple[Table, tuple[str, ...]]:
-    names: list[str] = []
-    targets: list[str] = []
-    parts: list[Array] = []
-    sizes: list[Array] = []
-    warnings: list[str] = []
-    for name, picture in images:
-        targets_seen = find(pattern, picture)
-        if targets_seen.reason:
-            warnings.append(f"{name}: {targets_seen.reason}")
-        names += [name] * len(targets_seen.targets)
-        targets += (
-            [name.rsplit(".", 1)[0]]
-            if pattern.type == "dot" and len(targets_seen.targets)
-            else list(targets_seen.targets)
-        )
-        parts.append(targets_seen.uv)
-        sizes.append(np.sqrt(targets_seen.axes.prod(axis=1)))
-    uv = np.concatenate([*parts, np.zeros((0, 2))])
-    if not len(uv):
-        text = f"no target found in any of {len(images.names)} images{_shown_board(pattern, images, images.names)}"
-        raise InputError([Fault(text, hint="; ".join(warnings[:3]))])
-    table = Table.of({"image": names, "target": targets, "u v [px]": uv, SIZE: np.concatenate(sizes)})
-    if copied := copies.faults(table, OBSERVATIONS):
-        raise InputError(copied)
-    return table, tuple(warnings)
 
 
 def join(table: Table, targets: TargetCoordinates, sigma: float, fewest: int) -> Sighted:

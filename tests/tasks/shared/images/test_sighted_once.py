@@ -11,7 +11,7 @@ import pytest
 from metrocli.errors import InputError
 from metrocli.formats.images import read_images
 from metrocli.targets.pattern import Pattern
-from metrocli.tasks.shared.images.sightings import sight
+from metrocli.tasks.shared.images.search import sight
 
 DOT = Pattern(type="dot", diameter=5.0, polarity="bright")
 
