@@ -67,7 +67,8 @@ def open_by_given(readings: NetworkReadings) -> list[str]:
     level = level or readings.heights is not None
     lengths = readings.lengths is not None or readings.bars is not None
     lengths = lengths or bool(np.isfinite(readings.sightings.values[DISTANCE]).any())
-    needed = [0, 1, 2, *([] if level else [3, 4]), 5, *([] if lengths else [6])]
+    oriented = np.isfinite(readings.stations.gamma[readings.sightings.station]).any()
+    needed = [0, 1, 2, *([] if level else [3, 4]), *([] if oriented else [5]), *([] if lengths else [6])]
     place = np.nan_to_num(points.listed)
     centred = place - place[used.any(axis=1)].mean(axis=0) if used.any() else place
     centred /= float(np.abs(centred[used.any(axis=1)]).max(initial=0.0)) or 1.0

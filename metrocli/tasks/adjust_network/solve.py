@@ -208,7 +208,8 @@ def _to_origin(network: Network, solution: Solution) -> Array:
     else:
         place = blocks[t.POINT].values[network.readings.stations.over[network.first]]
     round_ = next(i for i, (station, _) in enumerate(network.readings.sightings.rounds) if station == network.first)
-    gamma = float(blocks[s.ORIENTATION].values[round_, 0])
+    known = np.isfinite(network.readings.stations.gamma).any()
+    gamma = 0.0 if known else float(blocks[s.ORIENTATION].values[round_, 0])
     return poses.inverse(np.array([*place, 0.0, 0.0, gamma]))
 
 

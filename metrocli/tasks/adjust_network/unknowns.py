@@ -105,5 +105,7 @@ def _orientations(readings: NetworkReadings, start: NetworkStart) -> Block:
         f"{readings.stations.names[station]} {name}" if several[station] else readings.stations.names[station]
         for station, name in seen.rounds
     ]
-    block = s.orientation_block(np.where(level, start.gamma, 0.0), names)
-    return replace(block, free=(read & level)[:, None])
+    known = readings.stations.gamma[[station for station, _ in seen.rounds]]
+    free = read & level & np.isnan(known)
+    block = s.orientation_block(np.where(level, np.where(np.isnan(known), start.gamma, known), 0.0), names)
+    return replace(block, free=free[:, None])

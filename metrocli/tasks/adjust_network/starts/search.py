@@ -81,8 +81,12 @@ class _Search:
                 continue
             usable = self._usable(number, rows, known)
             if self._enough(number, usable):
-                missing.append((len(usable), number))
+                missing.append((len(usable) + bool(np.isfinite(self._known_turn(number))), number))
         return missing
+
+    def _known_turn(self, number: int) -> float:
+        """Return the listed orientation of a set-up, nan if it is an unknown."""
+        return float(self.readings.stations.gamma[self.readings.sightings.rounds[number][0]])
 
     def _known(self) -> Mask:
         return _whole(self.points)
@@ -96,7 +100,7 @@ class _Search:
     def _enough(self, number: int, rows: Index) -> bool:
         station = self.readings.sightings.rounds[number][0]
         if self.levelled[station] and np.isfinite(self.poses[station, 0]):
-            return len(rows) > 0
+            return len(rows) > 0 or bool(np.isfinite(self._known_turn(number)))
         some = rows[:: max(len(rows) // _ENOUGH, 1)]
         chosen = self.points[np.unique(self.readings.sightings.point[some])]
         if len(chosen) < (2 if self.levelled[station] else 3):
@@ -114,7 +118,8 @@ class _Search:
         if self.levelled[station] and np.isfinite(self.poses[station, 0]):
             away = self.points[seen.point[rows]] - self.poses[station, :3]
             turns = np.arctan2(away[:, 1], away[:, 0]) - seen.values[0, rows]
-            self.gamma[number] = np.angle(np.exp(1j * turns).sum())
+            listed_turn = self._known_turn(number)
+            self.gamma[number] = np.angle(np.exp(1j * turns).sum()) if np.isnan(listed_turn) else listed_turn
         else:
             pose = fitted(self.local[rows], self.points[seen.point[rows]], bool(self.levelled[station]))
             self._set(number, station, pose)
@@ -155,7 +160,8 @@ class _Search:
 
     def begin_with(self, number: int) -> None:
         """Place a set-up at the origin."""
-        self._set(number, self.readings.sightings.rounds[number][0], np.zeros(6))
+        turn = np.array([0.0, 0.0, 0.0, 0.0, 0.0, np.nan_to_num(self._known_turn(number))])
+        self._set(number, self.readings.sightings.rounds[number][0], turn)
         self._see(number)
 
     def intersect(self) -> None:
@@ -211,7 +217,8 @@ def _alone(readings: NetworkReadings, levelled: Mask) -> _Search:
     search = _Search(readings, np.full_like(readings.points.listed, np.nan), levelled)
     shots = [int(search.whole[rows].sum()) for rows in search.rows]
     level = [bool(levelled[station]) for station, _ in readings.sightings.rounds]
-    begin = max(range(len(shots)), key=lambda i: (level[i] and shots[i] > 0, shots[i]))
+    turned = [bool(np.isfinite(readings.stations.gamma[station])) for station, _ in readings.sightings.rounds]
+    begin = max(range(len(shots)), key=lambda i: (shots[i] > 0 and turned[i], shots[i] > 0 and level[i], shots[i]))
     search.begin_with(begin)
     search.run()
     if not any(level):
