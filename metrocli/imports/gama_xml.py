@@ -3,7 +3,8 @@
 Source: GNU Gama manual, XML input data format for gama-local (points in m, angles in gon or d-m-s, standard deviations
 in mm and cc or arcsec). North is +y and east +x in what is written. A station stands over its point, once for
 each set of observations and each height of its instrument. An angle is two directions of a round of its own, each with
-1/sqrt(2) of its standard deviation. An azimuth is a direction of a station whose x axis is to the north. A plane network has all its points at one height: z = 0, by height differences 0.
+1/sqrt(2) of its standard deviation. An azimuth is a direction of a station whose x axis is to the north. A plane
+network has all its points at one height: z = 0, by height differences 0.
 """
 
 from __future__ import annotations
@@ -27,9 +28,7 @@ _READ = {
     "azimuth": ("hz", "azimuth-stdev"),
     "z-angle": ("zd", "zenith-angle-stdev"),
 }
-_HINT = (
-    "with stdev: <direction>, <angle>, <azimuth>, <s-distance>, <z-angle>, <dh>, or <distance> of a plane network"
-)
+_HINT = "with stdev: <direction>, <angle>, <azimuth>, <s-distance>, <z-angle>, <dh>, or <distance> of a plane network"
 _HORIZONTAL = ("direction", "angle", "azimuth")
 _UPRIGHT = ("s-distance", "z-angle", "dh", "vec")
 _STATIONS = ("station", "instrument", "over", "height_mm", "sigma_height_mm", "gamma_deg")
