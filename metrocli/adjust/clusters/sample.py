@@ -11,7 +11,14 @@ import numpy as np
 
 from metrocli.adjust.clusters.likelihood import Likelihood, most_likely
 from metrocli.adjust.clusters.rows import ClusterRows
-from metrocli.adjust.clusters.spread import ActingDirections, ClusterDirections, ClusterSpread, Excess, products, spreads
+from metrocli.adjust.clusters.spread import (
+    ActingDirections,
+    ClusterDirections,
+    ClusterSpread,
+    Excess,
+    products,
+    spreads,
+)
 from metrocli.arrays import Array, Index, Mask
 from metrocli.frozen import dataclass
 
