@@ -13,7 +13,7 @@ from metrocli.instruments.tracker import cartesian
 from metrocli.tasks.adjust_network.readings import NetworkReadings
 from metrocli.words import listed
 
-_CONTRADICTORY = 0.03
+CONTRADICTORY = 0.03
 """Share of the extent of a network, by which set-ups of readings that are understood rightly do not disagree"""
 
 
@@ -92,7 +92,7 @@ def _extent(places: Array) -> float:
 def must_agree(readings: NetworkReadings, rough: NetworkStart) -> None:
     """Raise NotConvergedError for set-ups that contradict each other, as no noise and no effect makes them do."""
     share, words = disagreement(readings, rough)
-    if share > _CONTRADICTORY:
+    if share > CONTRADICTORY:
         raise NotConvergedError(
             f"set-ups contradict each other: they put the points that they share beside each other ({words}).\n"
             "  Look at units and senses of the angles (az counter-clockwise, hz clockwise; el from the level plane, zd "
