@@ -80,9 +80,7 @@ class _Scan:
         """Return what an alternative explains; None if it has no value at some reading."""
         m = self.less.measurement
         try:
-            whole = signature(
-                m.job.model, m.system, alternative.effect, alternative.instance, dict(alternative.scanned)
-            )
+            whole = _signature(m, alternative)
         except NoValueAtReadingError:
             return None
         left = self.less.seen(whole)
@@ -190,9 +188,15 @@ def _differs_in(one: Candidate, other: Candidate, name: str) -> bool:
     return one.like(other) and others[0] == others[1]
 
 
+def _signature(m: Measurement, alternative: Candidate) -> Array:
+    return signature(m.job.model, m.system, alternative.effect, alternative.instance, dict(alternative.scanned))
+
+
 def _with_alternative(m: Measurement, number: int, alternative: Candidate, whole: Array) -> Measurement:
-    """Return a measurement with one more alternative of a family, of whole columns."""
-    family, seen = m.families[number], m.system.seen(whole)
+    """Return a measurement with one more alternative of a family, of whole columns; the unweighted one has it too."""
+    family, seen, plain = m.families[number], m.system.seen(whole), m.unweighted
+    if plain is not None:
+        plain = _with_alternative(plain, number, alternative, _signature(plain, alternative))
     grown = replace(
         family,
         alternatives=(*family.alternatives, alternative),
@@ -201,4 +205,4 @@ def _with_alternative(m: Measurement, number: int, alternative: Candidate, whole
         gram=np.concatenate([family.gram, (seen.T @ seen)[None]]),
         whole={**family.whole, family.columns.count: OwnColumns(np.arange(len(whole)), whole)},
     )
-    return replace(m, families=(*m.families[:number], grown, *m.families[number + 1 :]))
+    return replace(m, families=(*m.families[:number], grown, *m.families[number + 1 :]), unweighted=plain)
