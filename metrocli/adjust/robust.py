@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from metrocli.adjust.adjustment import StoppingRule, adjust
+from metrocli.adjust.allowance import is_short
 from metrocli.adjust.datum import Datum
 from metrocli.adjust.medians import median
 from metrocli.adjust.model.blocks import Block
@@ -38,6 +39,8 @@ SAME = 0.99
 _ROUNDS = 12
 _NEAR = 0.1
 """A reweighted round but the last ends with a step below this, in standard deviations: the next weights change more"""
+_RESERVE = 14
+"""Steps that a try keeps for its adjustment"""
 _ENOUGH = 8
 """A member with at least so many readings has a scale of its own"""
 
@@ -61,6 +64,8 @@ def robust_start(
         return dict(state)
     share = _share(group, state, within)
     for turn in range(_ROUNDS):
+        if is_short(_RESERVE):
+            break
         # least absolute deviations first: the biweight ignores what is far off, so it needs a start that is near
         weights = _least_absolute(share) if turn < _ROUNDS // 2 else np.maximum(1 - (share / _TUKEY) ** 2, 0.0) ** 2
         held = _reweighted(groups, name, weights)
