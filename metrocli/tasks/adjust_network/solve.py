@@ -10,7 +10,7 @@ import numpy as np
 from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.outcome import Outcome
-from metrocli.adjust.robust import critical_value, gross, robust_start
+from metrocli.adjust.robust import critical_value, robust_start
 from metrocli.adjust.rounds import adjust_with_iterated_weights, in_rounds
 from metrocli.adjust.solution import Residuals, Solution, residuals_of
 from metrocli.arrays import Array, Mask
@@ -123,20 +123,16 @@ def _weighted(network: Network) -> Solution:
 
 def _robust(network: Network) -> dict[str, Block]:
     """Return values that gross errors do not spoil."""
-    state, groups = dict(network.blocks), list(network.model.groups)
+    groups = list(network.model.groups)
     names = [name for name in network.model.measured if is_sighting(network.model.group(name))]
-    wrong = contradicting(network, state)
+    wrong = contradicting(network, network.blocks)
     # what contradicts the set-ups would pull them: it waits until they are joined
     first = [
         replace(group, weights=np.full(group.observations.count, _NONE)) if group.name in wrong else group
         for group in groups
     ]
-    for number, name in enumerate(names):
-        if number == 0 or gross(network.model.group(name), state).any():
-            state = robust_start(state.values(), first, name, network.datum)
-    for name in wrong:
-        state = robust_start(state.values(), groups, name, network.datum)
-    return state
+    state = robust_start(network.blocks.values(), first, names, network.datum) if names else dict(network.blocks)
+    return robust_start(state.values(), groups, (*names, *wrong), network.datum) if wrong else state
 
 
 def _adjusted(used: _Used) -> AdjustedNetwork:
