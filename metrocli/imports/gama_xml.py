@@ -10,7 +10,7 @@ network has all its points at one height: z = 0, by height differences 0.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from decimal import Decimal, InvalidOperation
 from xml.etree import ElementTree
 
@@ -48,13 +48,18 @@ def files(lines: TextLines, wishes: ImportOptions) -> Imported:
     network = root if root.tag == "network" else root.find("network")
     if network is None:
         raise InputError([lines.fault("there is no <network>", None, "expected: the XML input of gama-local")])
+    return survey_of(lines, network, "gama-xml")
+
+
+def survey_of(lines: TextLines, network: Element, form: str, notes: Iterable[str] = ()) -> Imported:
+    """Return the files of a network; raises InputError that lists all faults."""
     reader = _NetworkSections(lines, network)
     survey = reader.read()
     if reader.faults:
         raise InputError(reader.faults)
-    notes = [f"{reader.left_out} observations of points without fix or adj are left out"] if reader.left_out else []
-    origin = f"from {lines.file} (gama-xml)"
-    return {name: to_csv(header, rows, origin, notes) for name, (header, rows) in survey.items() if rows}
+    left_out = [f"{reader.left_out} observations of points without fix or adj are left out"] if reader.left_out else []
+    origin = f"from {lines.file} ({form})"
+    return {name: to_csv(header, rows, origin, [*notes, *left_out]) for name, (header, rows) in survey.items() if rows}
 
 
 def _bare(root: Element) -> Element:

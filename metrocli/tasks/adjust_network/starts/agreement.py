@@ -42,6 +42,24 @@ def placed(readings: NetworkReadings, rough: NetworkStart) -> tuple[Index, Array
     return rows, places
 
 
+def known_turns(readings: NetworkReadings) -> Array:
+    """Return the azimuth of the x axis of each round, (rounds,), where it is listed; nan for others.
+
+    A round has it too if it shares a direction with a listed one over the same point.
+    """
+    seen, stations = readings.sightings, readings.stations
+    of = np.array([station for station, _ in seen.rounds], dtype=np.intp)
+    turns, over = stations.gamma[of], stations.over[seen.station]
+    key = over * readings.points.count + seen.point
+    bearing = turns[seen.orientation] + seen.values[0]
+    known = np.isfinite(bearing) & (over >= 0)
+    keys, first = np.unique(key[known], return_index=True)
+    shared = np.isnan(turns[seen.orientation]) & np.isfinite(seen.values[0]) & np.isin(key, keys)
+    at = np.searchsorted(keys, key[shared])
+    turns[seen.orientation[shared]] = bearing[known][first[at]] - seen.values[0, shared]
+    return turns
+
+
 def medians(places: Array, point: Index, count: int) -> Array:
     """Return the median place of each point, nan where it has none, (count, 3)."""
     counts = np.bincount(point, minlength=count)

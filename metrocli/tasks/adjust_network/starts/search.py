@@ -16,7 +16,14 @@ from metrocli.errors import UndeterminedError
 from metrocli.geometry import poses
 from metrocli.instruments.tracker import cartesian
 from metrocli.tasks.adjust_network.readings import NetworkReadings
-from metrocli.tasks.adjust_network.starts.agreement import NetworkStart, disagreement, fitted, list_offset, must_agree
+from metrocli.tasks.adjust_network.starts.agreement import (
+    NetworkStart,
+    disagreement,
+    fitted,
+    known_turns,
+    list_offset,
+    must_agree,
+)
 from metrocli.words import listed
 
 _ENOUGH = 200
@@ -41,7 +48,7 @@ class _Search:
         seen = readings.sightings
         self.points = begin.copy()
         self.poses = np.full((len(readings.stations.names), 6), np.nan)
-        self.gamma = np.full(len(seen.rounds), np.nan)
+        self.gamma, self.turns = np.full(len(seen.rounds), np.nan), known_turns(readings)
         self.whole: Mask = np.asarray(~np.isnan(seen.values).any(axis=0))
         self.local = np.full((len(seen.point), 3), np.nan)
         self.local[self.whole] = cartesian(seen.values[:, self.whole])[0].T
@@ -81,12 +88,8 @@ class _Search:
                 continue
             usable = self._usable(number, rows, known)
             if self._enough(number, usable):
-                missing.append((len(usable) + bool(np.isfinite(self._known_turn(number))), number))
+                missing.append((len(usable) + bool(np.isfinite(self.turns[number])), number))
         return missing
-
-    def _known_turn(self, number: int) -> float:
-        """Return the listed orientation of a set-up, nan if it is an unknown."""
-        return float(self.readings.stations.gamma[self.readings.sightings.rounds[number][0]])
 
     def _known(self) -> Mask:
         return _whole(self.points)
@@ -100,7 +103,7 @@ class _Search:
     def _enough(self, number: int, rows: Index) -> bool:
         station = self.readings.sightings.rounds[number][0]
         if self.levelled[station] and np.isfinite(self.poses[station, 0]):
-            return len(rows) > 0 or bool(np.isfinite(self._known_turn(number)))
+            return len(rows) > 0 or bool(np.isfinite(self.turns[number]))
         some = rows[:: max(len(rows) // _ENOUGH, 1)]
         chosen = self.points[np.unique(self.readings.sightings.point[some])]
         if len(chosen) < (2 if self.levelled[station] else 3):
@@ -118,8 +121,8 @@ class _Search:
         if self.levelled[station] and np.isfinite(self.poses[station, 0]):
             away = self.points[seen.point[rows]] - self.poses[station, :3]
             turns = np.arctan2(away[:, 1], away[:, 0]) - seen.values[0, rows]
-            listed_turn = self._known_turn(number)
-            self.gamma[number] = np.angle(np.exp(1j * turns).sum()) if np.isnan(listed_turn) else listed_turn
+            known_turn = self.turns[number]
+            self.gamma[number] = np.angle(np.exp(1j * turns).sum()) if np.isnan(known_turn) else known_turn
         else:
             pose = fitted(self.local[rows], self.points[seen.point[rows]], bool(self.levelled[station]))
             self._set(number, station, pose)
@@ -160,7 +163,7 @@ class _Search:
 
     def begin_with(self, number: int) -> None:
         """Place a set-up at the origin."""
-        turn = np.array([0.0, 0.0, 0.0, 0.0, 0.0, np.nan_to_num(self._known_turn(number))])
+        turn = np.array([0.0, 0.0, 0.0, 0.0, 0.0, np.nan_to_num(self.turns[number])])
         self._set(number, self.readings.sightings.rounds[number][0], turn)
         self._see(number)
 
