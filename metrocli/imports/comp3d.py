@@ -7,7 +7,7 @@ of observations is `code origin target value sigma [sigma_rel [h_origin h_target
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from xml.etree.ElementTree import Element, SubElement
 
 from metrocli.errors import Fault, InputError
@@ -88,9 +88,10 @@ def _observations(lines: TextLines) -> Imported:
             seen.append(
                 _Observed(number, code, ends, fields[3], float(fields[4]), float(relative), (heights[0], heights[1]))
             )
-    away = {frozenset(one.ends): float(one.value) for one in seen if one.code in _DISTANCE}
+    own = {one.ends: float(one.value) for one in seen if one.code in _DISTANCE}
+    away = {ends[::-1]: value for ends, value in own.items()} | own
     network = _network(seen, away)
-    unknown = [one for one in seen if one.relative and frozenset(one.ends) not in away]
+    unknown = [one for one in seen if one.relative and one.ends not in away]
     hint = "write the standard deviation of this line in sigma, and 0 in sigma_rel"
     faults += [lines.fault("sigma_rel needs a distance between the points", one.line, hint) for one in unknown]
     if faults:
@@ -98,7 +99,7 @@ def _observations(lines: TextLines) -> Imported:
     return survey_of(lines, network, "comp3d", [f"{idle} deactivated observations are left out"] * bool(idle))
 
 
-def _network(seen: list[_Observed], away: dict[frozenset[str], float]) -> Element:
+def _network(seen: list[_Observed], away: Mapping[tuple[str, ...], float]) -> Element:
     """Return the observations as a network of GNU Gama; each round of angles begins a set."""
     network = Element("network", {"axes-xy": "en", "angles": "left-handed"})
     section = SubElement(network, "points-observations")
@@ -108,7 +109,7 @@ def _network(seen: list[_Observed], away: dict[frozenset[str], float]) -> Elemen
     lines = Element("height-differences")
     for one in seen:
         begin, to = one.ends
-        distance = away.get(frozenset(one.ends), 1.0)
+        distance = away.get(one.ends, 1.0)
         linear = one.code in (*_DISTANCE, _LEVELLED)
         size = one.sigma + one.relative * distance if linear else one.sigma + _gon(one.relative / distance)
         cells = {"to": to, "val": one.value, "stdev": f"{size * (_MM if linear else _CC):.10g}"}
