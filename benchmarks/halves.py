@@ -18,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import stdtrit
 
+from benchmarks.bars import Number
 from benchmarks.references import DATA, NOWHERE, network_job
 from metrocli.errors import MetrocliError
 from metrocli.formats import csv, images
@@ -163,6 +164,9 @@ def compared(title: str, job: Job[Settings, Files], count: int, estimators: tupl
             f"{title:<30}{number:>4}  {name:<12}{by_parameter}{np.sqrt((z**2).mean()):>8.2f}{abs(z).max():>8.1f}",
             flush=True,
         )
+        if name == "structured":
+            rms = float(np.sqrt((z**2).mean()))
+            print(Number(f"z rms between halves, {title}", f"{len(z)} halvings", rms, 0.7, 1.3), flush=True)
 
 
 def turned(angles: Array) -> Array:
@@ -216,6 +220,8 @@ def coverage(views: int, process: float, runs: int) -> None:
         shares.append(100 * np.mean([list(inside(result)) for result in results]))
         growth = max(growth, float(np.mean([float(str(r.statistics.get("inflation", 0))) for r in results])))
     print(f"{views:>6}{process:>10.1f}{shares[0]:>12.1f} %{shares[1]:>12.1f} %{growth:>12.2f}", flush=True)
+    title = f"95 % intervals, {views} images, smooth errors of {process:g} times the noise"
+    print(Number(title, f"{runs} draws", shares[0], 92, 98, "%"), flush=True)
 
 
 def main(count: int = 20, runs: int = 100) -> None:

@@ -22,7 +22,7 @@ import numpy.typing as npt
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from benchmarks.hidden.rates import Rate
+from benchmarks.bars import Rate
 from metrocli.adjust.model.chain import LinkContext
 from metrocli.adjust.model.observations import Observations
 from metrocli.diagnosis.findings import Diagnosis

@@ -22,6 +22,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from simulated.network import Network, network, polar, sigmas
 
+from benchmarks.bars import Rate
 from metrocli.diagnosis.mistakes import without_mistakes
 from metrocli.project.diagnosed import _adjuster, _others
 from metrocli.project.inputs import read_inputs
@@ -224,8 +225,9 @@ def main(arguments: list[str]) -> int:
                     print(f"  {name}, case {number}: {said or 'nothing'} for {files.words or 'nothing'}", flush=True)
             took = (time.process_time() - begin) / cases
             what = "nothing offered" if name == "right" else "recognised"
-            print(f"{name}: {what} in {known} of {cases}; {took:.1f} s of CPU a case", flush=True)
-            met &= known >= (0.99 * cases if name == "right" else cases)
+            rate = Rate(f"{name}: {what}", known, cases, least=0.99 if name == "right" else 1.0)
+            print(f"{rate}\n  {took:.1f} s of CPU a case", flush=True)
+            met &= rate.met
     return int(not met)
 
 

@@ -22,6 +22,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from simulated.network import Array, Network, network
 
+from benchmarks.bars import Number
 from metrocli.formats import hdf5
 from metrocli.project import runner
 from metrocli.project.job import load
@@ -70,7 +71,7 @@ def z_of(net: Network, folder: Path) -> float:
 
 def main(arguments: list[str]) -> int:
     """Print z rms by make-up, then time and memory of large networks; return 1 where a bar is not met."""
-    count, met, squares = int(arguments[0]) if arguments else 100, True, []
+    count, squares = int(arguments[0]) if arguments else 100, []
     with tempfile.TemporaryDirectory() as where:
         folder = Path(where)
         for make, more in MAKES.items():
@@ -78,15 +79,14 @@ def main(arguments: list[str]) -> int:
                 z_of(network(np.random.default_rng([k, len(make)]), **more), folder) for k in range(count // len(MAKES))
             ]
             squares += own
-            print(f"{make}: z rms {np.sqrt(np.mean(own)):.3f} over {len(own)} networks", flush=True)
-        whole = float(np.sqrt(np.mean(squares)))
-        met &= 0.95 <= whole <= 1.05
-        print(f"all: z rms {whole:.3f} (0.95 to 1.05)", flush=True)
+            print(Number(f"z rms, {make}", f"{len(own)} networks", float(np.sqrt(np.mean(own)))), flush=True)
+        whole = Number("z rms of all points", f"{len(squares)} networks", float(np.sqrt(np.mean(squares))), 0.95, 1.05)
+        print(whole, flush=True)
         took = [_time_of(stations, points, folder) for stations, points in LARGE]
     power = float(np.log(took[-1] / took[-2]) / np.log(LARGE[-1][1] / LARGE[-2][1]))
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
     print(f"growth with the number of points: power {power:.2f} (at most 1.1); {memory:.2f} GB", flush=True)
-    return int(not (met and took[-1] <= 20 and power <= 1.1 and memory <= 2))
+    return int(not (whole.met and took[-1] <= 20 and power <= 1.1 and memory <= 2))
 
 
 def _time_of(stations: int, points: int, folder: Path) -> float:

@@ -24,8 +24,8 @@ from typing import Any
 import numpy as np
 import yaml
 
+from benchmarks.bars import Rate
 from benchmarks.hidden.foreign import NOTHING, SIMULATED, Planted, planted
-from benchmarks.hidden.rates import Rate
 from metrocli.diagnosis.diagnose import diagnose
 from metrocli.diagnosis.evidence.folds import gain_between
 from metrocli.diagnosis.evidence.measured_job import measurement_of

@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.hidden.rates import Rate
+from benchmarks.bars import Rate
 from benchmarks.real import boards, ranges
 from benchmarks.real.boards import COLUMNS, OF_TARGET, Board, Model
 from benchmarks.real.sets import BOARDS, DATA, DRIVES, LENS, BoardSet, ranges_job

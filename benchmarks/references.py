@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.bars import Number
 from metrocli.formats import csv
 from metrocli.result import Result
 from metrocli.table import Table
@@ -70,24 +71,31 @@ def against_opencv(title: str, stem: str, reference: str) -> None:
     held = dict(zip(compared.texts("model"), compared.numbers("held_out"), strict=True))
     labels = ("RMS px", "- OpenCV", "value/std", "std ratio", "held-out", "- OpenCV")
     print(f"\n{title}\n{'model':<16}" + "".join(f"{label:>11}" for label in labels))
+    far = []
     for row, (terms, name) in MODELS.items():
         result = calibrate_camera.run(
             calibrate_camera.TASK.job(board_settings(terms), observations=readings, targets=targets)
         )
-        print(f"{row:<16}" + _beside(result, models[name], held[row]))
+        own, off, rms = _beside(result, models[name], held[row])
+        print(f"{row:<16}{own}")
+        far.append((off, rms))
+    worst = np.max(far, axis=0).tolist()
+    print(Number(f"{title}: parameters beside OpenCV's", f"{len(far)} models", worst[0], most=0.01, unit="u"))
+    print(Number(f"{title}: RMS beside OpenCV's", f"{len(far)} models", worst[1], most=1e-6, unit="px"))
 
 
-def _beside(result: Result, theirs: dict[str, Any], held: float) -> str:
+def _beside(result: Result, theirs: dict[str, Any], held: float) -> tuple[str, float, float]:
     values = dict(zip(ORDER, [*(theirs[name] for name in ORDER[:4]), *theirs["dist"]], strict=False))
     std = dict(zip(ORDER, theirs["std_intrinsics"], strict=False))
     off = max(abs(e.value - values[e.name]) / std[e.name] for e in result.estimates)
     ratio = max((e.std / std[e.name] for e in result.estimates), key=lambda value: abs(np.log(value)))
     rms = result.statistics["rms"]
     assert isinstance(rms, dict)
-    return (
+    words = (
         f"{rms['px']:>11.6f}{rms['px'] - theirs['rms_px']:>11.1e}{off:>11.5f}{ratio:>11.5f}"
         f"{held:>11.4f}{held - theirs['heldout_rms_px']:>11.1e}"
     )
+    return words, off, abs(rms["px"] - theirs["rms_px"])
 
 
 def network_job() -> Job[Settings, Files]:
@@ -122,6 +130,8 @@ def network() -> None:
     for name, (value, std) in PUBLISHED.items():
         ours = found[name]
         print(f"{name:<6}{ours[0]:>16.8g}{value:>16.8g}{abs(ours[0] - value) / std:>11.3f}{ours[1] / std:>11.4f}")
+    off = max(abs(found[name][0] - value) / std for name, (value, std) in PUBLISHED.items())
+    print(Number("network of 115 images: lens beside the published one", "7 values", off, most=0.5, unit="u"))
 
 
 def _photogrammetric(table: Table) -> dict[str, tuple[float, float]]:

@@ -25,6 +25,7 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from benchmarks.apart import rig
+from benchmarks.bars import Number
 from metrocli.cli.commands import run as command
 from metrocli.formats.images import read_images
 from metrocli.project.job import load
@@ -38,13 +39,15 @@ Array = npt.NDArray[np.float64]
 STEREO = Path(__file__).parents[2] / "shared/data/opencv-chessboards"
 BOARD = np.array([[25.0 * i, 25.0 * j, 0.0] for j in range(7) for i in range(9)]) - [100, 75, 0]
 SIZE, NOISE = (1280, 960), 0.1
+BAR, ROUGH = 0.005, 3.0
+"""Standard uncertainty of a scale bar, and by how much the list of a network is off [mm]"""
 LENS = ("f", "cx", "cy", "k1", "k2", "p1", "p2")
 POSE = ("x", "y", "z", "alpha", "beta", "gamma")
 
 _JOB = """metrocli: 1
 job: calibrate-camera
-rig: board
-inputs: {{observations: obs.csv, targets: targets.csv}}
+rig: {rig}
+inputs: {{observations: obs.csv, targets: targets.csv{bars}}}
 noise: {noise}
 cameras:
 {cameras}
@@ -52,8 +55,14 @@ output: rig.h5
 """
 
 
-def solved(seen: Sequence[tuple[str, int, Array]], board: Array, cameras: dict[str, str], noise: str) -> Result:
-    """Return the result of image points: image, number of the target, (u, v)."""
+def solved(
+    seen: Sequence[tuple[str, int, Array]],
+    board: Array,
+    cameras: dict[str, str],
+    noise: str,
+    bars: Sequence[tuple[int, int, float]] = (),
+) -> Result:
+    """Return the result of image points: image, number of the target, (u, v); with scale bars that of a network."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         rows = (f"{image},T{target:03d},{uv[0]:.9f},{uv[1]:.9f}" for image, target, uv in seen)
@@ -61,7 +70,10 @@ def solved(seen: Sequence[tuple[str, int, Array]], board: Array, cameras: dict[s
         listed = (f"T{i:03d},{x},{y},{z}" for i, (x, y, z) in enumerate(board.tolist()))
         (folder / "targets.csv").write_text("\n".join(["target,x_mm,y_mm,z_mm", *listed]) + "\n")
         text = "\n".join(f"  {key}: {value}" for key, value in cameras.items())
-        (folder / "rig.yaml").write_text(_JOB.format(noise=noise, cameras=text))
+        rig, more = ("network", ", scale_bars: bars.csv") if bars else ("board", "")
+        far = (f"T{a:03d},T{b:03d},{length},{BAR}" for a, b, length in bars)
+        (folder / "bars.csv").write_text("\n".join(["from,to,length_mm,sigma_mm", *far]) + "\n")
+        (folder / "rig.yaml").write_text(_JOB.format(rig=rig, bars=more, noise=noise, cameras=text))
         return run(content(load(folder / "rig.yaml")))
 
 
@@ -85,26 +97,29 @@ def _lens(rng: np.random.Generator) -> Array:
     return np.array([rng.uniform(900, 1300), *centre, rng.uniform(-0.25, 0), 0.05, *rng.normal(0, 5e-4, 2)])
 
 
-def z_of_rig(number: int) -> Array:
-    """Return (value - truth) / std of all estimates of a simulated rig."""
+def z_of_rig(number: int, network: bool = False) -> Array:
+    """Return (value - truth) / std of all estimates of a simulated rig, from a board or a network of points."""
     rng = np.random.default_rng([71, number])
     count = 2 + number % 2
     names = ["left", "right", "top"][:count]
     lenses = [_lens(rng) for _ in names]
     turns = [np.eye(3), *(Rotation.from_rotvec(rng.normal(0, 0.15, 3)).as_matrix() for _ in names[1:])]
     shifts = [np.zeros(3), *(np.array([90.0 * i, 0, 0]) + rng.normal(0, 15, 3) for i in range(1, count))]
+    points = rng.uniform([-100, -100, -40], [100, 100, 40], (40, 3)) if network else BOARD
     seen = []
     for exposure in range(16):
         turn = Rotation.from_euler("zxy", [rng.uniform(-3, 3), *rng.uniform(-0.6, 0.6, 2)]).as_matrix()
-        in_first = BOARD @ turn.T + [*rng.uniform(-60, 100, 2), rng.uniform(350, 650)]
+        in_first = points @ turn.T + [*rng.uniform(-60, 100, 2), rng.uniform(350, 650)]
         for name, lens, own, shift in zip(names, lenses, turns, shifts, strict=True):
-            points = (in_first - shift) @ own
-            uv = _image(points, lens) + rng.normal(0, NOISE, (len(BOARD), 2))
+            uv = _image((in_first - shift) @ own, lens) + rng.normal(0, NOISE, (len(points), 2))
             inside = ((uv > 0) & (uv < np.array(SIZE) - 1)).all(axis=1)
             if inside.sum() >= 12 and rng.random() > 0.15:
                 seen += [(f"{name}{exposure:02d}.png", int(i), uv[i]) for i in np.flatnonzero(inside)]
     size = f"image_size: [{SIZE[0]}, {SIZE[1]}]"
-    result = solved(seen, BOARD, {name: f'{{images: "{name}*.png", {size}}}' for name in names}, f"{NOISE} px")
+    cameras = {name: f'{{images: "{name}*.png", {size}}}' for name in names}
+    bars = [(a, a + 1, float(np.linalg.norm(points[a] - points[a + 1])) + rng.normal(0, BAR)) for a in (0, 2, 4)]
+    rough = points + rng.normal(0, ROUGH, points.shape) if network else points
+    result = solved(seen, rough, cameras, f"{NOISE} px", bars if network else ())
     truth = {}
     for name, lens in zip(names, lenses, strict=True):
         truth |= {f"{name}.{key}": value for key, value in zip(LENS, lens, strict=True)}
@@ -119,8 +134,12 @@ def simulated(count: int) -> bool:
     lens = np.concatenate([z[: 7 * (2 + i % 2)] for i, z in enumerate(each)])
     pose = np.concatenate([z[7 * (2 + i % 2) :] for i, z in enumerate(each)])
     rms = [float(np.sqrt(np.mean(one**2))) for one in (np.concatenate(each), lens, pose)]
-    print(f"{count} rigs: z rms {rms[0]:.3f}, of lenses {rms[1]:.3f}, of poses {rms[2]:.3f} (0.95 to 1.05)")
-    return 0.95 <= rms[0] <= 1.05
+    print(Number("z rms of cameras fixed to each other", f"{count} rigs", rms[0], 0.95, 1.05))
+    print(Number("  of their lenses", f"{count} rigs", rms[1]))
+    print(Number("  of their poses", f"{count} rigs", rms[2]))
+    free = float(np.sqrt(np.mean(np.concatenate([z_of_rig(number, network=True) for number in range(count)]) ** 2)))
+    print(Number("z rms of cameras that see a network of points", f"{count} rigs", free, 0.95, 1.05))
+    return 0.95 <= rms[0] <= 1.05 and 0.95 <= free <= 1.05
 
 
 def corners() -> tuple[list[tuple[str, int, Array]], Array]:
@@ -174,8 +193,8 @@ def opencv() -> bool:
     ours = [own[f"right.{key}"] for key in POSE]
     off = max(abs(one.value - other) / one.std for one, other in zip(ours, theirs, strict=True))
     used = float(fixed.statistics["rms"]["px"])  # type: ignore[index, arg-type]
-    print(f"{len(shots)} pairs: largest difference {off:.2g} standard uncertainties of 1 px noise;", end=" ")
     print(f"rms {used:.7f} px here, {rms:.7f} px there")
+    print(Number("stereo pose beside OpenCV's, largest difference", f"{len(shots)} pairs", off, most=0.01, unit="u"))
     return off < 0.01
 
 
@@ -195,9 +214,10 @@ def halves(count: int) -> bool:
         z.append([(a.value - b.value) / np.hypot(a.std, b.std) for a, b in pairs])
     rms = np.sqrt(np.mean(np.square(z), axis=0))
     names = [estimate.name for estimate in results[0].estimates]
-    print(f"{count} halvings: z rms {np.sqrt(np.mean(np.square(z))):.2f} (0.7 to 1.3); of each:")
-    print("  " + ", ".join(f"{name} {value:.2f}" for name, value in zip(names, rms, strict=True)))
-    return bool(0.7 <= np.sqrt(np.mean(np.square(z))) <= 1.3)
+    whole = Number("z rms between halves of the stereo images", f"{count} halvings", _rms(z), 0.7, 1.3)
+    print(whole)
+    print("  of each: " + ", ".join(f"{name} {value:.2f}" for name, value in zip(names, rms, strict=True)))
+    return whole.met
 
 
 def aligned(count: int) -> bool:
@@ -218,11 +238,15 @@ def aligned(count: int) -> bool:
                     rows = file["parameters"][:]
             z.append([(row["value"] - rig.TRUTH[row["name"].decode()]) / row["std"] for row in rows])
         rms = np.sqrt(np.mean(np.square(z), axis=0))
-        whole = float(np.sqrt(np.mean(np.square(z))))
-        each = ", ".join(f"{name} {value:.2f}" for name, value in zip(rig.TRUTH, rms, strict=True))
-        print(f"{count} parts seen by {' and '.join(names)}: z rms {whole:.3f} (0.95 to 1.05); of each: {each}")
-        met.append(0.95 <= whole <= 1.05)
+        whole = Number(f"z rms of a part seen by {' and '.join(names)}", f"{count} draws", _rms(z), 0.95, 1.05)
+        print(whole)
+        print("  of each: " + ", ".join(f"{name} {value:.2f}" for name, value in zip(rig.TRUTH, rms, strict=True)))
+        met.append(whole.met)
     return all(met)
+
+
+def _rms(z: list[list[float]]) -> float:
+    return float(np.sqrt(np.mean(np.square(z))))
 
 
 def main(arguments: list[str]) -> int:

@@ -22,6 +22,7 @@ import numpy.typing as npt
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from simulated import five_axis as sim
 
+from benchmarks.bars import Number
 from metrocli.errors import UndeterminedError
 from metrocli.project.inputs import read_inputs
 from metrocli.project.job import load
@@ -107,11 +108,11 @@ def honesty(runs: int) -> None:
             misfit.append(found.solution.cost / found.solution.dof)
         joint, ratio = np.concatenate(z), np.sqrt(np.mean(np.square(off)) / np.mean(np.square(std)))
         inside = 100 * np.mean(np.abs(joint) < 1.96)
-        print(
-            f"{method:10s} {runs} runs: z rms {np.sqrt(np.mean(joint**2)):.3f}, {inside:.1f} % inside 95 % "
-            f"({len(joint)} entries), chi2/dof {np.mean(misfit):.3f}, volume off by {ratio:.3f} of stated",
-            flush=True,
-        )
+        of = f"{runs} runs"
+        print(Number(f"z rms of all entries, {method}", of, float(np.sqrt(np.mean(joint**2))), 0.95, 1.05))
+        print(Number(f"inside their 95 % intervals, {method}", of, float(inside), unit="%"))
+        print(Number(f"error of the volume over its std, {method}", of, float(ratio), 0.9, 1.1))
+        print(Number(f"chi2/dof, {method}", of, float(np.mean(misfit))), flush=True)
 
 
 def left_open() -> None:

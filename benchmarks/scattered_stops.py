@@ -14,8 +14,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from benchmarks.bars import Rate
 from benchmarks.hidden import stops
-from benchmarks.hidden.rates import Rate
 from metrocli.diagnosis.diagnose import diagnose, what_can_be_seen
 from metrocli.diagnosis.findings import Diagnosis, RandomEffect
 

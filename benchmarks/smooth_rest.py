@@ -10,6 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from benchmarks.bars import Rate
 from benchmarks.hidden import rates
 from benchmarks.hidden.case import Case
 from benchmarks.hidden.rest import DRAW, KINDS, Size
@@ -40,7 +41,7 @@ def main(arguments: list[str]) -> int:
     return 0 if met else 1
 
 
-def measured(cases: Sequence[Case], size: Size) -> list[rates.Rate]:
+def measured(cases: Sequence[Case], size: Size) -> list[Rate]:
     """Return the rates of measurements with an effect of a size, or with none."""
     count, found = len(cases), [rates.found(case) for case in cases]
     named: list[tuple[Finding | RandomEffect, ...]] = [
@@ -50,17 +51,17 @@ def measured(cases: Sequence[Case], size: Size) -> list[rates.Rate]:
     structure = [one for one in found if one.diagnosis.left is not None or one.diagnosis.correlated_errors]
     if not size.times:
         return [
-            rates.Rate("false name", sum(map(bool, named)), count, most=MOST_FALSE),
-            rates.Rate("false name with a gain that is shown", len(shown), count, most=0.01),
-            rates.Rate("the rest noticed", len(structure), count),
+            Rate("false name", sum(map(bool, named)), count, most=MOST_FALSE),
+            Rate("false name with a gain that is shown", len(shown), count, most=0.01),
+            Rate("the rest noticed", len(structure), count),
         ]
     right = [one for one in found if rates.each_in_sets(one)]
     extra = [one for one, names in zip(found, named, strict=True) if len(names) > len(one.case.hidden)]
     covered = [hit for one in found for hit in one.covered]
     return [
-        rates.Rate("named", len(right), count, least=LEAST_NAMED if size.times >= _NAMED else 0.0),
-        rates.Rate("  a further name, which is false", len(extra), count, most=MOST_FALSE),
-        rates.Rate("  95 % regions that hold the truth", sum(covered), len(covered), 0.92, 0.98),
+        Rate("named", len(right), count, least=LEAST_NAMED if size.times >= _NAMED else 0.0),
+        Rate("  a further name, which is false", len(extra), count, most=MOST_FALSE),
+        Rate("  95 % regions that hold the truth", sum(covered), len(covered), 0.92, 0.98),
     ]
 
 

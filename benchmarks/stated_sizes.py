@@ -25,7 +25,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from benchmarks.hidden.rates import Rate
+from benchmarks.bars import Rate
 from benchmarks.hidden.subjects import KINDS, Planted
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.detectability import design, needed

@@ -6,6 +6,7 @@ lengths and principal point (k1 k2 p1 p2 k3 are estimated too), and the root mea
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 import tempfile
@@ -48,38 +49,44 @@ def ours(_: int) -> Work:
 
 
 def opencv_sb(_: int) -> Work:
-    """OpenCV's finder of sectors (SB), and its calibration."""
-    return _opencv(sectors=True)
+    """OpenCV's finder of sectors (SB), and its calibration; start of Python included."""
+    return lambda: _in_own_process("sectors")
 
 
 def opencv(_: int) -> Work:
-    """OpenCV's older finder with cornerSubPix, and its calibration."""
-    return _opencv(sectors=False)
+    """OpenCV's older finder with cornerSubPix, and its calibration; start of Python included."""
+    return lambda: _in_own_process("older")
 
 
-def _opencv(sectors: bool) -> Work:
+def _in_own_process(finder: str) -> Values:
+    call = [sys.executable, "-m", "benchmarks.beside.boards", finder]
+    done = subprocess.run(call, check=True, capture_output=True, cwd=Path(__file__).parents[2])
+    return [(value, 0.0) for value in json.loads(done.stdout)]
+
+
+def main(finder: str) -> None:
+    """Print focal lengths, principal point and root mean square of OpenCV's calibration with one of its finders."""
     import cv2
 
     cv2.setNumThreads(1)
     grid = np.stack(np.meshgrid(np.arange(COLUMNS) * PITCH, np.arange(ROWS) * PITCH), axis=-1).reshape(-1, 2)
     board = np.column_stack([grid, np.zeros(len(grid))]).astype(np.float32)
+    found = []
+    for path in sorted(DATA.glob("left*.jpg")):
+        image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+        if image is None:
+            continue
+        if finder == "sectors":
+            seen, corners = cv2.findChessboardCornersSB(image, (COLUMNS, ROWS))
+        else:
+            seen, corners = cv2.findChessboardCorners(image, (COLUMNS, ROWS))
+            if seen:
+                corners = cv2.cornerSubPix(image, corners, (5, 5), (-1, -1), (3, 100, 1e-4))
+        found += [corners] if seen else []
+    rms, matrix, *_ = cv2.calibrateCamera([board] * len(found), found, (640, 480), None, None)
+    # the root mean square of a point has both coordinates
+    print(json.dumps([*(float(matrix[at]) for at in ((0, 0), (1, 1), (0, 2), (1, 2))), float(rms) / 2**0.5]))
 
-    def run() -> Values:
-        found = []
-        for path in sorted(DATA.glob("left*.jpg")):
-            image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
-            if image is None:
-                continue
-            if sectors:
-                seen, corners = cv2.findChessboardCornersSB(image, (COLUMNS, ROWS))
-            else:
-                seen, corners = cv2.findChessboardCorners(image, (COLUMNS, ROWS))
-                if seen:
-                    corners = cv2.cornerSubPix(image, corners, (5, 5), (-1, -1), (3, 100, 1e-4))
-            found += [corners] if seen else []
-        rms, matrix, *_ = cv2.calibrateCamera([board] * len(found), found, (640, 480), None, None)
-        # the root mean square of a point has both coordinates
-        own = [(float(matrix[at]), 0.0) for at in ((0, 0), (1, 1), (0, 2), (1, 2))]
-        return [*own, (float(rms) / 2**0.5, 0.0)]
 
-    return run
+if __name__ == "__main__":
+    main(sys.argv[1])

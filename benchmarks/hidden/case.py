@@ -25,6 +25,8 @@ class Hidden:
     """Largest cosine of what is visible of it with another candidate"""
     form: str = ""
     """Its `by` where the name has several forms: parameters of different forms cannot be compared"""
+    within: frozenset[str] = frozenset()
+    """Of an effect in no table: names that are wide enough to be right for it"""
 
     @property
     def distinct(self) -> bool:

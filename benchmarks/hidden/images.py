@@ -242,6 +242,12 @@ def _outside(name: str, rng: np.random.Generator) -> Outside:
 
 
 OUTSIDE = ("_six-lobe", "_order-wave", "_ripple", "_sensor-step")
+WITHIN = {
+    "_six-lobe": frozenset({"lens-shape"}),
+    "_ripple": frozenset({"lens-shape", "radial-distortion"}),
+    "_sensor-step": frozenset({"lens-shape"}),
+}
+"""A shift over the image that all images share is a lens shape, and one along the radius is a radial distortion"""
 
 
 def unknown(images: Images, rng: np.random.Generator, name: str, times: float) -> tuple[Images, Hidden]:
@@ -258,7 +264,7 @@ def unknown(images: Images, rng: np.random.Generator, name: str, times: float) -
         - scene.predicted(scene.start(), {})
     )
     near = _nearest(seen, scene.kind, (name, ""), seen.left({"outside": change, "size": 1.0}))
-    return replace(images, uv=uv), Hidden(name, {}, {"c": float(size)}, near)
+    return replace(images, uv=uv), Hidden(name, {}, {"c": float(size)}, near, within=WITHIN.get(name, frozenset()))
 
 
 def spoilt(images: Images, rng: np.random.Generator, share: float) -> tuple[Images, frozenset[tuple[str, ...]]]:

@@ -6,6 +6,7 @@ import time
 from collections import Counter
 from collections.abc import Iterable, Mapping
 
+from benchmarks.bars import Rate
 from metrocli.diagnosis.findings import Diagnosis
 
 
@@ -40,7 +41,11 @@ def print_rates(cases: Iterable[tuple[str, tuple[str, str]]]) -> int:
     nothing = sum(n for (effect, _), n in found.items() if not effect)
     effects = sum(n for (effect, _), n in found.items() if effect)
     false, named, other = found[False, "false"], found[True, "named"], found[True, "alternative"]
-    print(f"nothing hidden: {false} of {nothing} with a false name or structure (at most 5 %)")
-    print(f"one effect: {named} of {effects} named with its place (95 %), {named + other} with the alternatives (98 %)")
+    rates = [
+        Rate("nothing hidden: a false name or structure", false, nothing, most=0.05),
+        Rate("one effect: named with its place", named, effects, least=0.95),
+        Rate("one effect: named, or an alternative", named + other, effects, least=0.98),
+    ]
+    print("\n".join(str(rate) for rate in rates if rate.of))
     print(f"{(time.process_time() - begin) / max(nothing + effects, 1):.1f} s of CPU a case")
-    return int(not (false <= 0.05 * nothing and named >= 0.95 * effects and named + other >= 0.98 * effects))
+    return int(not all(rate.met for rate in rates if rate.of))

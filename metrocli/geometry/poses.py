@@ -94,6 +94,14 @@ def fit_pose(points: Array, targets: Array) -> Array:
     return pose(rotation, goal - rotation @ centre)
 
 
+def fit_similarity(points: Array, goals: Array) -> tuple[Array, float]:
+    """Return pose (6,) and scale that lay points (n, 3) nearest to goals (n, 3), unweighted (Umeyama 1991)."""
+    pose = fit_pose(points, goals)
+    away, wanted = points - points.mean(axis=0), goals - goals.mean(axis=0)
+    scale = float((wanted * (away @ rotation_of(pose).T)).sum() / max((away**2).sum(), 1e-300))
+    return fit_pose(scale * points, goals), scale
+
+
 def mirrored_about(values: Array, sight: Array, centre: Array, normal: Array) -> Array:
     """Return poses (n, 6) whose plane has its normal mirrored about a line of sight, and whose centre stays.
 

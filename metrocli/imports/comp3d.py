@@ -89,7 +89,7 @@ def _observations(lines: TextLines) -> Imported:
                 _Observed(number, code, ends, fields[3], float(fields[4]), float(relative), (heights[0], heights[1]))
             )
     own = {one.ends: float(one.value) for one in seen if one.code in _DISTANCE}
-    away = {ends[::-1]: value for ends, value in own.items()} | own
+    away = {(to, begin): value for (begin, to), value in own.items()} | own
     network = _network(seen, away)
     unknown = [one for one in seen if one.relative and one.ends not in away]
     hint = "write the standard deviation of this line in sigma, and 0 in sigma_rel"
@@ -99,7 +99,7 @@ def _observations(lines: TextLines) -> Imported:
     return survey_of(lines, network, "comp3d", [f"{idle} deactivated observations are left out"] * bool(idle))
 
 
-def _network(seen: list[_Observed], away: Mapping[tuple[str, ...], float]) -> Element:
+def _network(seen: list[_Observed], away: Mapping[tuple[str, str], float]) -> Element:
     """Return the observations as a network of GNU Gama; each round of angles begins a set."""
     network = Element("network", {"axes-xy": "en", "angles": "left-handed"})
     section = SubElement(network, "points-observations")

@@ -11,7 +11,7 @@ from metrocli.adjust.datum import Datum
 from metrocli.adjust.model.blocks import Block, Space
 from metrocli.adjust.model.chain import Chain, Link
 from metrocli.adjust.model.quantities import Quantity
-from metrocli.adjust.movements import of_members, of_points
+from metrocli.adjust.movements import Affine, of_members, of_points
 from metrocli.arrays import Array
 from metrocli.geometry import poses
 from metrocli.instruments.frames import Into, OutOf, PointOf
@@ -141,8 +141,15 @@ def list_datum(targets: Block, takes_part: Array, pose: str, scale: bool) -> Dat
     return Datum(TARGET, targets.values, takes_part, movements, FREEDOMS[: len(points.shift)])
 
 
-def network_datum(targets: Block, takes_part: Array) -> Datum:
-    """Return the inner constraints of a free network: the datum targets keep their mean place, rotation and scale."""
-    points = of_points(scale=True)
-    views = of_members(len(poses.COLUMNS), points, turns=slice(3, 6))
-    return Datum(TARGET, targets.values, takes_part, {TARGET: points, VIEW: views}, FREEDOMS)
+def network_datum(targets: Block, takes_part: Array, several: bool = False) -> Datum:
+    """Return the inner constraints of a free network: the datum targets keep their mean place, rotation and scale.
+
+    Distances between `several` cameras that are fixed to each other grow with the scale.
+    """
+    points, size = of_points(scale=True), len(poses.COLUMNS)
+    movements = {TARGET: points, VIEW: of_members(size, points, turns=slice(3, 6))}
+    if several:
+        grows = np.zeros((len(FREEDOMS), size, size))
+        grows[-1, :3, :3] = np.eye(3)
+        movements[MOUNT] = Affine(grows, np.zeros((len(FREEDOMS), size)))
+    return Datum(TARGET, targets.values, takes_part, movements, FREEDOMS)

@@ -55,7 +55,8 @@ def find(pattern: Pattern, picture: Picture) -> FoundTargets:
     good = np.zeros(sigma.shape, dtype=bool)
     good[place] = np.isfinite(sigma[place])
     chosen = np.flatnonzero(good)
-    return points([names(pattern)[i] for i in chosen], fitted.reshape(-1, 2)[chosen], sigma.ravel()[chosen])
+    named = names(pattern)
+    return points([named[i] for i in chosen], fitted.reshape(-1, 2)[chosen], sigma.ravel()[chosen])
 
 
 def tags_in(picture: Picture, wanted: int = 0) -> tuple[Index, Array]:

@@ -49,7 +49,8 @@ def find(pattern: Pattern, picture: Picture) -> FoundTargets:
     fitted, sigma = fit_grid(picture, everywhere.reshape(rows, columns, 2), _window(pattern))
     uv, spread = fitted.reshape(-1, 2)[ids], sigma.ravel()[ids]
     good = np.isfinite(spread)
-    return points([names(pattern)[place] for place in ids[good]], uv[good], spread[good])
+    named = names(pattern)
+    return points([named[place] for place in ids[good]], uv[good], spread[good])
 
 
 def _other_board(pattern: Pattern, seen: Picture, markers: int) -> str:

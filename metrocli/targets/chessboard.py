@@ -12,7 +12,7 @@ import numpy.typing as npt
 from metrocli.arrays import Array, Picture
 from metrocli.targets.blobs import eight_bit
 from metrocli.targets.find import FoundTargets, nothing, points
-from metrocli.targets.lattice import order_fault, ordered
+from metrocli.targets.lattice import order_fault, ordered, upright
 from metrocli.targets.pattern import Pattern, lattice, names
 from metrocli.targets.saddles import fit_grid
 
@@ -52,7 +52,8 @@ def find(pattern: Pattern, picture: Picture) -> FoundTargets:
     reason = order_fault(lattice(pattern)[seen], flat[seen])
     if reason:
         return nothing(f"no chessboard: {reason}")
-    return points([names(pattern)[place] for place in seen], flat[seen], spread[seen])
+    named = names(pattern)
+    return points([named[place] for place in seen], flat[seen], spread[seen])
 
 
 def shown_size(picture: Picture) -> tuple[int, int] | None:
@@ -100,11 +101,13 @@ def _searched(pattern: Pattern, grey: npt.NDArray[np.uint8]) -> Array | None:
 def _in_order(pattern: Pattern, corners: Array, picture: Picture) -> tuple[Array, str]:
     """Return the corners (rows, columns, 2) in the pattern's order; without an order, nothing and the reason."""
     rows, columns = pattern.shape
-    place, reason = ordered(lattice(pattern), corners)
-    if not reason and (place < 0).any():
-        reason = "the corners found do not lie on a lattice"
-    if reason:
-        return np.empty((0, 0, 2)), reason
+    place = upright((rows, columns), corners)
+    if place is None:  # OpenCV lists the corners of most boards row by row
+        place, reason = ordered(lattice(pattern), corners)
+        if not reason and (place < 0).any():
+            reason = "the corners found do not lie on a lattice"
+        if reason:
+            return np.empty((0, 0, 2)), reason
     grid = corners[place].reshape(rows, columns, 2)
     told_by_colour = (rows + columns) % 2 == 1
     if told_by_colour and _first_square_is_bright(grid, picture):

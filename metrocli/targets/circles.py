@@ -40,7 +40,8 @@ def _of_polarity(pattern: Pattern, picture: Picture, polarity: str) -> FoundTarg
     seen = np.flatnonzero(rows >= 0)
     chosen = [starts[row] for row in rows[seen]]
     fits = [ellipses.fit(picture, start, reach) for start, reach in zip(chosen, _reaches(chosen), strict=True)]
-    good = [(names(pattern)[place], fit) for place, fit in zip(seen, fits, strict=True) if ellipses.is_good(fit)]
+    named = names(pattern)
+    good = [(named[place], fit) for place, fit in zip(seen, fits, strict=True) if ellipses.is_good(fit)]
     return of_ellipses([name for name, _ in good], [fit for _, fit in good if fit is not None])
 
 

@@ -68,7 +68,7 @@ def order_fault(steps: Whole, uv: Array) -> str:
     Two tests that images of any real lens pass: the points fit a homography within 0.2 steps (root mean square), and
     each point between two neighbours is within 0.2 steps of their middle.
     """
-    if len(np.unique(steps, axis=0)) < len(steps):
+    if len(set(map(tuple, steps.tolist()))) < len(steps):
         return "two points have one place"
     if len(uv) < 4:
         return "fewer than four points"
@@ -104,10 +104,29 @@ def ordered(expected: Whole, uv: Array) -> tuple[Whole, str]:
     fits = [fit for fit in fits if not order_fault(expected[fit >= 0], uv[fit[fit >= 0]])]
     if len({frozenset(fit.tolist()) for fit in fits}) > 1:
         return np.full(len(expected), -1), "the pattern fits in several places of a larger lattice"
-    upright = [_uprightness(expected, uv, fit) for fit in fits]
-    if not fits or max(upright) == -np.inf:
+    fit = _most_upright(expected, uv, fits)
+    if fit is None:
         return np.full(len(expected), -1), "the points found do not have the outline of the pattern"
-    return fits[int(np.argmax(upright))], ""
+    return fit, ""
+
+
+def upright(shape: tuple[int, int], uv: Array) -> Whole | None:
+    """Return the rows (rows * columns,) of points listed row by row, or from another corner, upright in the image.
+
+    None if the points (rows * columns, 2) do not lie on a flat lattice in that order.
+    """
+    expected, listed = np.indices(shape)[::-1].reshape(2, -1).T, np.arange(len(uv)).reshape(shape)
+    if order_fault(expected, uv):
+        return None
+    faces = [listed, listed.T] if shape[0] == shape[1] else [listed]
+    turns = [face[::down, ::right].ravel() for face in faces for down in (1, -1) for right in (1, -1)]
+    return _most_upright(expected, uv, turns)
+
+
+def _most_upright(expected: Whole, uv: Array, fits: list[Whole]) -> Whole | None:
+    """Return the fit with x most to the right and y most down in the image; None where all are mirror images."""
+    score = [_uprightness(expected, uv, fit) for fit in fits]
+    return fits[int(np.argmax(score))] if max(score, default=-np.inf) > -np.inf else None
 
 
 def _normalised(points: Array) -> tuple[Array, Array]:

@@ -84,6 +84,14 @@ class Measurement:
         """Degrees of freedom, with those that the declared noise counts for."""
         return self.system.dof + PRIOR
 
+    @property
+    def weights(self) -> Array:
+        """Factors of the rows for the noise of variance groups, (rows,): 1 where it is the declared one."""
+        factors = np.ones(self.system.rows)
+        for number, ratio in self.noise.items():
+            factors[self.units[number][2]] /= ratio
+        return factors
+
     @cached_property
     def by_member(self) -> tuple[Index, Index]:
         """Rows in the order of their local members, and where each member begins among them, (members + 1,)."""

@@ -80,7 +80,9 @@ class _Scan:
         """Return what an alternative explains; None if it has no value at some reading."""
         m = self.less.measurement
         try:
-            whole = _signature(m, alternative)
+            whole = signature(
+                m.job.model, m.system, alternative.effect, alternative.instance, dict(alternative.scanned)
+            )
         except NoValueAtReadingError:
             return None
         left = self.less.seen(whole)
@@ -188,15 +190,9 @@ def _differs_in(one: Candidate, other: Candidate, name: str) -> bool:
     return one.like(other) and others[0] == others[1]
 
 
-def _signature(m: Measurement, alternative: Candidate) -> Array:
-    return signature(m.job.model, m.system, alternative.effect, alternative.instance, dict(alternative.scanned))
-
-
 def _with_alternative(m: Measurement, number: int, alternative: Candidate, whole: Array) -> Measurement:
-    """Return a measurement with one more alternative of a family, of whole columns; the unweighted one has it too."""
-    family, seen, plain = m.families[number], m.system.seen(whole), m.unweighted
-    if plain is not None:
-        plain = _with_alternative(plain, number, alternative, _signature(plain, alternative))
+    """Return a measurement with one more alternative of a family, of whole columns; so has the one without weights."""
+    family, seen = m.families[number], m.system.seen(whole)
     grown = replace(
         family,
         alternatives=(*family.alternatives, alternative),
@@ -205,4 +201,5 @@ def _with_alternative(m: Measurement, number: int, alternative: Candidate, whole
         gram=np.concatenate([family.gram, (seen.T @ seen)[None]]),
         whole={**family.whole, family.columns.count: OwnColumns(np.arange(len(whole)), whole)},
     )
-    return replace(m, families=(*m.families[:number], grown, *m.families[number + 1 :]), unweighted=plain)
+    bare = m.unweighted and _with_alternative(m.unweighted, number, alternative, whole / m.weights[:, None])
+    return replace(m, families=(*m.families[:number], grown, *m.families[number + 1 :]), unweighted=bare)

@@ -12,7 +12,7 @@ from metrocli.adjust.datum import Datum
 from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.groups import Group, priors
 from metrocli.adjust.robust import typical
-from metrocli.arrays import Array
+from metrocli.arrays import Array, Index
 from metrocli.effects.model import Model, Place
 from metrocli.errors import InputError
 from metrocli.geometry import poses
@@ -30,7 +30,7 @@ from metrocli.tasks.calibrate_camera.starts import better_poses, robustly, witho
 from metrocli.tasks.shared.images.adjustment import IMAGES
 from metrocli.tasks.shared.images.eccentricity import corrected
 from metrocli.tasks.shared.images.sightings import Sighted, check_inside, placed
-from metrocli.tasks.shared.images.target_list import images_needed
+from metrocli.tasks.shared.images.target_list import TargetCoordinates, images_needed
 from metrocli.words import listed
 
 _GUESSES = (1.0, 0.5, 2.0, 4.0, 8.0)
@@ -49,7 +49,7 @@ def build(rig: str, settings: CameraSettings, sighted: Sighted, bars: Table | No
     if size is None:
         raise InputError("camera: image_size is missing; give the width and height of the images, e.g. [2592, 1944]")
     sighted = check_inside(sighted, np.array(size)[:, None])
-    sighted = placed(sighted, np.maximum(images_needed(sighted.targets), 2 if rig == "network" else 1))
+    sighted = placed(sighted, needed(rig, sighted.targets))
     check_targets(rig, sighted)
     targets = sighted.targets
     values = _lens_values(settings, size)
@@ -84,12 +84,17 @@ def build(rig: str, settings: CameraSettings, sighted: Sighted, bars: Table | No
     return started.with_model(started.model.with_group(group).with_blocks(consistent))
 
 
-def target_datum(rig: str, targets: Block) -> Datum | None:
+def needed(rig: str, targets: TargetCoordinates) -> Index:
+    """Return the fewest images that place each target, (targets,)."""
+    return np.maximum(images_needed(targets), 2 if rig == "network" else 1)
+
+
+def target_datum(rig: str, targets: Block, several: bool = False) -> Datum | None:
     """Return the inner constraints on the unknown targets; None with rig cmm, whose reference frame is theirs."""
     takes_part = np.broadcast_to(targets.free, targets.values.shape).any(axis=1).astype(float)
     if rig == "board":
         return camera.list_datum(targets, takes_part, camera.VIEW, scale=True)
-    return camera.network_datum(targets, takes_part) if rig == "network" else None
+    return camera.network_datum(targets, takes_part, several) if rig == "network" else None
 
 
 def _lens_values(settings: CameraSettings, size: tuple[int, int]) -> dict[str, float]:

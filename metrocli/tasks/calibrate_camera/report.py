@@ -32,6 +32,7 @@ from metrocli.tasks.calibrate_camera.lens_conventions import (
     photogrammetric_form,
 )
 from metrocli.tasks.calibrate_camera.other_lenses import fisheye_instead
+from metrocli.tasks.calibrate_camera.points import points_of
 from metrocli.tasks.calibrate_camera.problem import CameraProblem
 from metrocli.tasks.calibrate_camera.projection_error import (
     angle_warnings,
@@ -51,10 +52,8 @@ from metrocli.tasks.shared.images.tables import (
     image_warnings,
     root_mean_square,
 )
-from metrocli.tasks.shared.joint_covariance import factors
 from metrocli.tasks.shared.statistics import Statistics, chi_interval, noise_notes, noise_warnings
 from metrocli.tasks.shared.uncontrolled import TABLE, in_words
-from metrocli.uncertainty.predicted import POINTS_COVARIANCE
 
 _POOR = 2.0
 """sigma0 above which another lens model is tried"""
@@ -149,7 +148,9 @@ def _tables_and_arrays(solved: _Calibration, hidden: Table) -> tuple[dict[str, T
         tables["views"] = tables["views"].joined(of_views)
         arrays |= _view_covariances(solved)
     if problem.rig == "network" or (problem.rig == "board" and problem.blocks[camera.TARGET].free.any()):
-        tables["points"], of_points = _points(solved)
+        views = solution.blocks[camera.VIEW].values
+        origins = (poses.inverse(views) if problem.rig == "board" else views)[:, :3]
+        tables["points"], of_points = points_of(solution, solved.index(camera.TARGET), origins[solved.index("view")])
         arrays |= of_points
     return tables, arrays
 
@@ -205,39 +206,6 @@ def _camera(solved: _Calibration) -> Table:
     lens, std = solved.lens, np.sqrt(np.diag(solved.covariance.of(camera.LENS)))
     units = [unit_of(name) for name in lens.columns]
     return Table.of({"parameter": lens.columns, "value": lens.values[0], "std": std, "unit": units})
-
-
-def _points(solved: _Calibration) -> tuple[Table, dict[str, Array]]:
-    """Return the coordinates of the targets that are seen, with their rays, and the arrays of their covariance."""
-    block = solved.solution.blocks[camera.TARGET]
-    each = solved.covariance.members(camera.TARGET)
-    std = np.sqrt(np.einsum("mii->mi", each))
-    rays = np.bincount(solved.index(camera.TARGET), minlength=len(block.members))
-    known = rays > 0
-    table = Table.of(
-        {
-            "point": np.array(block.members)[known],
-            "x y z [mm]": block.values[known],
-            "sx sy sz [mm]": std[known],
-            "rays": rays[known],
-            "ray_angle [rad]": _ray_angles(solved)[known],
-        }
-    )
-    return table, {POINTS_COVARIANCE: each[known], **factors(solved.covariance, camera.TARGET, known)}
-
-
-def _ray_angles(solved: _Calibration) -> Array:
-    """Return the largest angle [rad] between two rays of each target, 0 for a single ray."""
-    points = solved.solution.blocks[camera.TARGET].values
-    views = solved.solution.blocks[camera.VIEW].values
-    origins = (poses.inverse(views) if solved.problem.rig == "board" else views)[:, :3]
-    target, view = solved.index(camera.TARGET), solved.index("view")
-    angles = np.zeros(len(points))
-    for i in np.unique(target):
-        rays = origins[view[target == i]] - points[i]
-        rays /= np.linalg.norm(rays, axis=1, keepdims=True)
-        angles[i] = np.arccos(np.clip((rays @ rays.T).min(), -1.0, 1.0))
-    return angles
 
 
 def _warnings(solved: _Calibration, views: Table | None) -> list[str]:

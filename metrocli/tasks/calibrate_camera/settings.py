@@ -238,8 +238,6 @@ class Settings:
             yield "cameras", "cameras are of one lens model: all opencv, all fisheye or all backward"
         if len({"fx" in camera.estimate or "fx" in camera.given() for camera in self.cameras.values()}) > 1:
             yield "cameras", "either all cameras have f, or all have fx and fy"
-        if self.rig == "network":
-            yield "rig", "cameras are calibrated together from a board, or from targets placed by a CMM"
         for name, several in self.cameras.items():
             if self.inputs.observations is not None and several.image_size is None:
                 yield f"cameras.{name}", "image_size is missing: a table of observations does not contain it"

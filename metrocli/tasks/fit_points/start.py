@@ -16,14 +16,8 @@ _BETTER = 100.0
 
 
 def similarity(points: Array, goals: Array, scaled: bool) -> tuple[Array, float]:
-    """Return pose (6,) and scale that lay points (n, 3) nearest to goals (n, 3), unweighted (Umeyama 1991)."""
-    pose = poses.fit_pose(points, goals)
-    scale = 1.0
-    if scaled:
-        away, wanted = points - points.mean(axis=0), goals - goals.mean(axis=0)
-        scale = float((wanted * (away @ poses.rotation_of(pose).T)).sum() / max((away**2).sum(), 1e-300))
-        pose = poses.fit_pose(scale * points, goals)
-    return pose, scale
+    """Return pose (6,) and scale that lay points (n, 3) nearest to goals (n, 3); the scale is 1 unless `scaled`."""
+    return poses.fit_similarity(points, goals) if scaled else (poses.fit_pose(points, goals), 1.0)
 
 
 def rms(points: Array, goals: Array, scaled: bool) -> float:

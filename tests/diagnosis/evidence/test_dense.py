@@ -17,6 +17,7 @@ from metrocli.diagnosis.evidence.measurement import Measurement
 from metrocli.diagnosis.evidence.parts import Fixed, Random
 from metrocli.diagnosis.evidence.prices import gain_of_columns
 from metrocli.diagnosis.evidence.products import local_columns
+from metrocli.diagnosis.evidence.refined import _with_alternative
 from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.evidence.weights import with_noise
 
@@ -127,6 +128,17 @@ def test_noise_of_a_group_has_the_likelihood_of_its_covariance(kind: str) -> Non
     prior = weighted.squares - float(weighted.system.residual @ weighted.system.residual)
     expected = -(m.dof * np.log(squares + prior) + log_det) / 2
     assert State.of(weighted).score + len(ratios) * m.price_of_noise == pytest.approx(expected, rel=1e-9)
+
+
+def test_a_refined_value_is_known_without_the_weights_too() -> None:
+    """A jump that is refined beside a noisier view is judged once more in white noise."""
+    m = with_noise(measurement(BOARD), {0: 1.7, 2: 0.6})
+    grown = _with_alternative(m, 0, m.families[0].alternatives[0], 1.5 * m.whole(0, 0))
+    number = len(grown.families[0].alternatives) - 1
+    state = State.of(grown, [grown.effect(0, number)])
+    assert grown.unweighted is not None
+    assert grown.unweighted.whole(0, number) == pytest.approx(1.5 * measurement(BOARD).whole(0, 0))
+    assert state.at(grown.unweighted, random=False).fixed[0].key == (0, number)
 
 
 @pytest.mark.parametrize("kind", [BOARD, NETWORK])

@@ -151,10 +151,10 @@ def test_each_camera_has_its_size_of_images(tmp_path: Path, metrocli: Metrocli) 
 
 
 def test_faults_are_all_listed(tmp_path: Path, metrocli: Metrocli) -> None:
-    text = JOB.format(inputs=TABLES, left="", right=", model: fisheye").replace("board", "network")
+    text = JOB.format(inputs=TABLES, left="", right=", model: fisheye")
     (tmp_path / "rig.yaml").write_text(text + "camera: {image_size: [640, 480]}\n")
     ran = metrocli("check", tmp_path / "rig.yaml")
-    told = ("both camera and cameras", "one lens model", "placed by a CMM", "image_size is missing")
+    told = ("both camera and cameras", "one lens model", "image_size is missing")
     assert ran.code == 3 and all(one in ran.err for one in told), ran.err
     (tmp_path / "rig.yaml").write_text(text.replace("right*", "right"))
     assert "images has not one *" in metrocli("check", tmp_path / "rig.yaml").err
@@ -204,6 +204,40 @@ def test_cameras_that_see_one_target_an_image_are_placed_in_the_frame_of_the_mac
     found, truth = estimates(tmp_path / "rig.h5"), json.loads((tmp_path / "new" / "truth.json").read_text())
     assert {"left.alpha", "right.alpha"} < set(found)
     assert np.sqrt(np.mean([((v - truth[name]) / std) ** 2 for name, (v, std) in found.items()])) < 1.5
+
+
+def test_points_of_a_network_are_placed_by_all_cameras(tmp_path: Path, metrocli: Metrocli) -> None:
+    """Two lists of a camera alone would be two frames: the places are known to 3 mm, and each has few images."""
+    rng, images = np.random.default_rng(6), Seen()
+    points = rng.uniform([-60, -80, -40], [60, 80, 40], (30, 3))
+    for shot in range(6):
+        turn = Rotation.from_euler("zxy", [rng.uniform(-2, 2), *rng.uniform(-0.6, 0.6, 2)])
+        placed = turn.apply(points) + [*rng.uniform(0, 40, 2), rng.uniform(330, 420)]
+        for name, own in (("left", placed), ("right", TURN.inv().apply(placed - SHIFT))):
+            uv = cv2.projectPoints(own, np.zeros(3), np.zeros(3), square(name), np.array(LENSES[name][3:]))[0][:, 0]
+            images[f"{name}{shot}.png"] = uv + rng.normal(0, 0.1, uv.shape)
+    path = job(tmp_path, images)
+    rough = points + rng.normal(0, 3, points.shape)
+    listed = (f"{j},{x},{y},{z}" for j, (x, y, z) in enumerate(rough.tolist()))
+    (tmp_path / "targets.csv").write_text("\n".join(["target,x_mm,y_mm,z_mm", *listed]))
+    for name, pairs in (("bars", [(0, 1), (2, 3), (4, 5)]), ("tests", [(6, 7), (8, 9), (10, 11), (12, 13)])):
+        far = [(a, b, float(np.linalg.norm(points[a] - points[b])) + rng.normal(0, 0.004)) for a, b in pairs]
+        rows = "\n".join(f"{a},{b},{length},0.004" for a, b, length in far)
+        (tmp_path / f"{name}.csv").write_text(f"from,to,length_mm,sigma_mm\n{rows}\n")
+    inputs = TABLES.replace("}", ", scale_bars: bars.csv, test_lengths: tests.csv}")
+    path.write_text(path.read_text().replace("rig: board", "rig: network").replace(TABLES, inputs))
+    ran = metrocli("calibrate-camera", path)
+    assert ran.code == 0, ran.err
+    found = estimates(tmp_path / "rig.h5")
+    truth = {
+        f"{name}.{key}": v for name, lens in LENSES.items() for key, v in zip(("f", "cx", "cy"), lens, strict=False)
+    }
+    truth |= {f"right.{key}": v for key, v in zip("xyz", SHIFT.tolist(), strict=True)}
+    assert max(abs(found[name][0] - value) / found[name][1] for name, value in truth.items()) < 4
+    with h5py.File(tmp_path / "rig.h5") as file:
+        errors, known = file["length_errors"][:], file["points"][:]
+        assert errors["en"].max() < 1.5 and errors["std"].max() < 0.02
+        assert len(known) == 30 and known["rays"].min() >= 2
 
 
 @pytest.mark.parametrize(

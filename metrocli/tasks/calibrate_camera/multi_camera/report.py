@@ -8,6 +8,7 @@ import numpy as np
 
 from metrocli import units
 from metrocli.adjust.solution import Residuals, Solution
+from metrocli.arrays import Array
 from metrocli.effects.estimates import estimates, free_blocks
 from metrocli.effects.estimates import tables as effect_results
 from metrocli.geometry import poses
@@ -17,7 +18,11 @@ from metrocli.result import Result, ShownTable
 from metrocli.table import Table
 from metrocli.tasks.calibrate_camera import KIND
 from metrocli.tasks.calibrate_camera.advice import correlation_warnings, unfolded
+from metrocli.tasks.calibrate_camera.length_errors import length_errors
 from metrocli.tasks.calibrate_camera.multi_camera.system import CameraSystem
+from metrocli.tasks.calibrate_camera.points import points_of
+from metrocli.tasks.calibrate_camera.settings import Files, Settings
+from metrocli.tasks.job import Job
 from metrocli.tasks.shared.images.adjustment import AdjustedImages
 from metrocli.tasks.shared.images.calibrated import CAMERAS
 from metrocli.tasks.shared.images.camera_parameters import (
@@ -38,7 +43,7 @@ def delivered(system: CameraSystem) -> tuple[str, ...]:
     return (camera.LENS, camera.MOUNT, *((camera.TAPER,) if system.rig == "cmm" else ()), *free_blocks(system.effects))
 
 
-def report(system: CameraSystem, adjusted: AdjustedImages) -> Result:
+def report(system: CameraSystem, adjusted: AdjustedImages, job: Job[Settings, Files]) -> Result:
     """Return the result of several cameras that were adjusted together."""
     solution, residuals = adjusted.solution, adjusted.known_residuals()
     p = parameters(system, solution)
@@ -50,6 +55,16 @@ def report(system: CameraSystem, adjusted: AdjustedImages) -> Result:
         CAMERAS: _cameras(system, solution),
         **effects,
     }
+    tested, tests = None, job.files.test_lengths
+    if system.rig == "network":
+        tables["points"], of_points = _points(solution, adjusted)
+        arrays |= of_points
+    if tests is not None:
+        seen = np.bincount(
+            adjusted.group.observations.index[camera.TARGET], minlength=len(system.sighted.targets.names)
+        )
+        tested = length_errors(tests, solution, seen, job.settings.length_limit)
+        tables["length_errors"] = tested.table
     warnings = image_warnings(adjusted, system.sighted, tables["views"])
     warnings += correlation_warnings(p.high_correlations())
     known = adjusted.noise is None
@@ -58,16 +73,29 @@ def report(system: CameraSystem, adjusted: AdjustedImages) -> Result:
         title="",
         estimates=p.estimates,
         covariance=p.covariance,
-        statistics=_statistics(system, adjusted, residuals),
+        statistics={**_statistics(system, adjusted, residuals), **(tested.statistics if tested is not None else {})},
         tables=tables,
         arrays={"correlation": p.correlation, **arrays},
         warnings=(*warnings, *(noise_warnings(solution) if known else ())),
         doubts=tuple(_folds(system, adjusted)),
         shown=(ShownTable(CAMERAS, ("camera", "x", "y", "z", "alpha", "beta", "gamma")),),
-        notes=(*adjustment_notes(adjusted), *_baselines(solution), *(noise_notes(solution) if known else ())),
+        notes=(
+            *(tested.notes if tested is not None else ()),
+            *adjustment_notes(adjusted),
+            *_baselines(solution),
+            *(noise_notes(solution) if known else ()),
+        ),
         details=adjusted.details(p.names),
         plain=("dof",),
     )
+
+
+def _points(solution: Solution, adjusted: AdjustedImages) -> tuple[Table, dict[str, Array]]:
+    """Return the points of a network, each seen from the places of the cameras at its exposures."""
+    index = adjusted.group.observations.index
+    first, mount = solution.blocks[camera.VIEW].values, solution.blocks[camera.MOUNT].values
+    origins = poses.compose(first[index["view"]], mount[index[camera.MOUNT]])[:, :3]
+    return points_of(solution, index[camera.TARGET], origins)
 
 
 def parameters(system: CameraSystem, solution: Solution) -> Parameters:

@@ -52,7 +52,9 @@ def simulate(job: Job[Settings, Files], cameras: Mapping[str, OneOfSeveral], opt
     ]
     sigma = settings.noise if isinstance(settings.noise, float) else START_NOISE
     files = {"observations.csv": sightings_table(shown, sights(shown, views.only), sigma, rng)}
-    if job.files.targets is None:
+    if settings.rig == "network":
+        files["true_points.csv"] = listed_places("point", known.names, known.points)
+    elif job.files.targets is None:
         files["targets.csv"] = listed_places("target", known.names, known.points)
     drawn: Iterable[tuple[str, Draw]] = ()
     if options.images and settings.pattern is not None:

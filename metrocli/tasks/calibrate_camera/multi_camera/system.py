@@ -18,18 +18,22 @@ from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.instruments import camera
 from metrocli.instruments.lenses.lens import PARAMETERS
-from metrocli.tasks.calibrate_camera.build import build, target_datum
+from metrocli.table import Table
+from metrocli.tasks.calibrate_camera.build import build, needed, target_datum
 from metrocli.tasks.calibrate_camera.multi_camera.images import connected, of_camera
 from metrocli.tasks.calibrate_camera.multi_camera.start import CalibratedCamera, all_in_first, pose_between
 from metrocli.tasks.calibrate_camera.problem import CameraProblem
+from metrocli.tasks.calibrate_camera.readings import scale_bars
 from metrocli.tasks.calibrate_camera.settings import OneOfSeveral, Settings
 from metrocli.tasks.shared.images.adjustment import IMAGES
 from metrocli.tasks.shared.images.eccentricity import corrected
 from metrocli.tasks.shared.images.exposures import IMAGE, Exposures, exposures
-from metrocli.tasks.shared.images.sightings import Sighted
+from metrocli.tasks.shared.images.sightings import Sighted, placed
 from metrocli.words import in_a_row
 
 _STEPS = 60
+_COMMON = 4
+"""Fewest targets that lay the network of one camera onto that of another"""
 
 
 @dataclass(frozen=True)
@@ -56,17 +60,23 @@ class CameraSystem(Modelled):
         return self.cameras[name].image_size or (0, 0)
 
 
-def system_of(settings: Settings, cameras: Mapping[str, OneOfSeveral], sighted: Sighted) -> CameraSystem:
+def system_of(
+    settings: Settings, cameras: Mapping[str, OneOfSeveral], sighted: Sighted, bars: Table | None = None
+) -> CameraSystem:
     """Return the adjustment of all cameras with its starting values, from the calibration of each.
 
-    Raises InputError and UndeterminedError as `build`, `exposures`, `connected` and `pose_between`.
+    `bars` are calibrated distances between targets of a network. Raises InputError and UndeterminedError as `build`,
+    `exposures`, `connected` and `pose_between`.
     """
     exposed = exposures({name: several.images for name, several in cameras.items()}, sighted.images)
     if exposed.unused:
         raise InputError(f"no image of {in_a_row(exposed.unused)} shows enough targets; check `cameras: images`")
     # targets placed by a CMM are one frame for all cameras
-    order = connected(exposed) if settings.rig == "board" else [(c, 0) for c in range(1, len(cameras))]
+    order = connected(exposed) if settings.rig != "cmm" else [(c, 0) for c in range(1, len(cameras))]
     each = [_alone(settings.rig, one, of_camera(sighted, exposed, i)) for i, one in enumerate(cameras.items())]
+    if settings.rig == "network":
+        each = _in_first_frame(each, order)
+        sighted = placed(sighted, needed(settings.rig, sighted.targets))
     seen = [_seen(exposed, i, problem) for i, problem in enumerate(each)]
     points = sighted.targets.points
     held = all_in_first([(c, beside, pose_between(seen[beside], seen[c], points)) for c, beside in order], len(each))
@@ -76,11 +86,14 @@ def system_of(settings: Settings, cameras: Mapping[str, OneOfSeveral], sighted: 
     group = Group(
         IMAGES, camera.chain(settings.rig, each[0].convention, several=True), exposed.readings(sighted.observations)
     )
-    datum = target_datum(settings.rig, blocks[camera.TARGET]) if free.any() else None
+    datum = target_datum(settings.rig, blocks[camera.TARGET], several=True) if free.any() else None
     places = {"image": Place(sighted.images, IMAGE), "target": Place(targets.names, camera.TARGET)}
-    known = priors(blocks[camera.TARGET], targets.sigma, free)
+    seen_in = np.bincount(sighted.target, minlength=len(targets.names))
+    known = (*priors(blocks[camera.TARGET], targets.sigma, free), *scale_bars(bars, targets.names, seen_in))
     model = Model(blocks, (group, *known), datum, (IMAGES,), places, nominal={camera.TARGET: targets.points})
-    warnings = (*sighted.warnings, *(line for problem in each for line in problem.sighted.warnings))
+    # a target of a network that one camera does not place is placed by all together
+    own = each if settings.rig != "network" else ()
+    warnings = (*sighted.warnings, *(line for problem in own for line in problem.sighted.warnings))
     system = CameraSystem(model, settings.rig, cameras, exposed, replace(sighted, warnings=warnings))
     if not sighted.eccentric:
         return system
@@ -98,6 +111,32 @@ def _alone(rig: str, camera_of: tuple[str, OneOfSeveral], sighted: Sighted) -> C
     control = StoppingRule(limit=_STEPS, covariance=False)
     solution = adjust(problem.blocks.values(), [problem.images, *problem.others], problem.datum, control)
     return problem.with_blocks({**problem.blocks, **solution.blocks})
+
+
+def _in_first_frame(each: Sequence[CameraProblem], order: Sequence[tuple[int, int]]) -> list[CameraProblem]:
+    """Return free networks of single cameras in the frame and the scale of the first, by the targets that two place.
+
+    The list of targets gives each of them a frame that is as good as the list.
+    """
+    laid = list(each)
+    for number, beside in order:
+        mine, theirs = laid[number], laid[beside]
+        here, there = (problem.blocks[camera.TARGET].values for problem in (mine, theirs))
+        least = needed("network", mine.sighted.targets)
+        rays = [np.bincount(problem.sighted.target, minlength=len(here)) for problem in (mine, theirs)]
+        common = (rays[0] >= least) & (rays[1] >= least)
+        if common.sum() < _COMMON:
+            continue
+        pose, scale = poses.fit_similarity(here[common], there[common])
+        views = mine.blocks[camera.VIEW].values * np.repeat([scale, 1.0], 3)
+        moved = {
+            camera.VIEW: poses.compose(np.broadcast_to(pose, views.shape), views),
+            camera.TARGET: poses.apply(pose, scale * here),
+        }
+        laid[number] = mine.with_blocks(
+            {**mine.blocks, **{name: mine.blocks[name].with_values(values) for name, values in moved.items()}}
+        )
+    return laid
 
 
 def _seen(exposed: Exposures, number: int, problem: CameraProblem) -> CalibratedCamera:

@@ -12,6 +12,7 @@ from metrocli.errors import InputError, UndeterminedError
 from metrocli.imageset import ImageSet
 from metrocli.result import Result
 from metrocli.tasks.calibrate_camera.advice import in_words
+from metrocli.tasks.calibrate_camera.length_errors import must_not_be_used
 from metrocli.tasks.calibrate_camera.multi_camera.diagnosis import adjusted_job
 from metrocli.tasks.calibrate_camera.multi_camera.report import delivered, report
 from metrocli.tasks.calibrate_camera.multi_camera.system import CameraSystem, system_of
@@ -29,7 +30,7 @@ def run(job: Job[Settings, Files], cameras: Mapping[str, OneOfSeveral]) -> Resul
     adjusted = _solved(job.settings, system)
     if job.settings.noise == STRUCTURED:
         adjusted = adjusted.with_structure(delivered(system))
-    return report(system, adjusted)
+    return report(system, adjusted, job)
 
 
 def diagnosed(job: Job[Settings, Files], cameras: Mapping[str, OneOfSeveral]) -> AdjustedJob:
@@ -44,10 +45,10 @@ def prepared(job: Job[Settings, Files], cameras: Mapping[str, OneOfSeveral]) -> 
     if files.images is not None:
         cameras = sized(cameras, files.images)
     sigma = float("nan") if settings.targets == ESTIMATE else 0.0
-    sighted = sightings(
-        settings, files.observations, files.targets, files.images, Needs(FEWEST[settings.rig], sigma, sigma)
-    )
-    return system_of(settings, cameras, sighted).with_effects(job.effects)
+    needs = Needs(FEWEST[settings.rig], float("nan") if settings.rig == "network" else sigma, sigma)
+    sighted = sightings(settings, files.observations, files.targets, files.images, needs)
+    must_not_be_used(files.test_lengths, files.scale_bars)
+    return system_of(settings, cameras, sighted, files.scale_bars).with_effects(job.effects)
 
 
 def sized(cameras: Mapping[str, OneOfSeveral], images: ImageSet) -> dict[str, OneOfSeveral]:
