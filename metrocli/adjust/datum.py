@@ -20,8 +20,6 @@ from metrocli.frozen import dataclass
 
 _OPEN = 1e-11
 """Relative contribution to the normal matrix below which a movement is open, because the rest is rounding"""
-_NO_PART = 1e-6
-"""Part of a movement in the reduced system, relative to its largest, below which it has none"""
 _LOOSE = 1e-12
 """Singular value, relative to the members' size, below which the datum's members do not fix a movement"""
 
@@ -142,12 +140,8 @@ def _open(full: Array, matrix: Array, diagonal: Array) -> Array:
     lengths = np.sqrt(np.maximum(largest, 1e-300))
     unit = full[:, moving] / lengths
     seen, basis = np.linalg.eigh(unit.T @ matrix @ unit)
-    free = basis[:, seen < _OPEN]
-    # some of their combinations may have no part either, such as the scale about a single station
-    _, sizes, turns = np.linalg.svd(np.sqrt(diagonal)[:, None] * (unit @ free), full_matrices=False)
-    free = free @ turns[sizes > _NO_PART].T
-    mix = np.zeros((full.shape[1], free.shape[1]))
-    mix[moving] = free / lengths[:, None]
+    mix = np.zeros((full.shape[1], int((seen < _OPEN).sum())))
+    mix[moving] = basis[:, seen < _OPEN] / lengths[:, None]
     return mix
 
 
