@@ -60,6 +60,10 @@ FIGURES: dict[str, FigureEntry] = {
     "held-out": FigureEntry("beside.held_out", "gain of what the diagnosis found, in each held-out part", beside=True),
     "normal-plot": FigureEntry("normal_plot", "normal plot of the normalised residuals"),
     "coverage": FigureEntry("images.coverage", "coverage of the image by readings"),
+    "projection-error": FigureEntry("images.projection_error", "expected projection error over the image"),
+    "lens-difference": FigureEntry(
+        "images.lens_difference", "difference of two cameras over the image, after the best rotation", beside=True
+    ),
     "error-curves": FigureEntry("error_curves", "errors of a machine over its axes (actual minus commanded)"),
     "positioning": FigureEntry("positioning", "positioning of the axes by ISO 230-2"),
     "volumetric-error": FigureEntry("volume_map", "error of the machine over the volume", "error"),
@@ -74,6 +78,7 @@ FIGURES: dict[str, FigureEntry] = {
 """All figures, in the order in which a page shows them"""
 _NEEDS = {
     "before-after": "the result of the job without the extension, with the same readings (--before)",
+    "lens-difference": "another result of calibrate-camera (--before)",
     "law": "a diagnosis of this job that found a law (--diagnosis)",
     "held-out": "a diagnosis of this job that found something (--diagnosis)",
     "lineage": "a record of files that it was made from",

@@ -8,7 +8,8 @@ from metrocli.arrays import Array
 from metrocli.frozen import dataclass
 from metrocli.plots import labels
 from metrocli.plots.magnify import in_words, length_in_words, magnification, thinned_vectors, words
-from metrocli.plots.places import PlottedPoints, places_of
+from metrocli.plots.places import places_of
+from metrocli.plots.plotted_points import PlottedPoints
 from metrocli.plots.style import OUTLINE, SIZES, Canvas, arrows
 from metrocli.result import Result
 

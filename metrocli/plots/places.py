@@ -5,27 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from metrocli.arrays import Array
-from metrocli.frozen import dataclass
-from metrocli.geometry.rotations import rotation_from_euler
+from metrocli.plots.images.cameras import cameras_of
+from metrocli.plots.plotted_points import PlottedPoints
 from metrocli.result import Result
 from metrocli.table import Table
 
 _XYZ = ("x", "y", "z")
-
-
-@dataclass(frozen=True)
-class PlottedPoints:
-    """Points of one kind."""
-
-    kind: str
-    names: tuple[str, ...]
-    at: Array
-    """(n, 3) mm"""
-    vectors: Array | None = None
-    """(n, 3) mm: deviation at each point, in its true size"""
-    vector_name: str = ""
-    covariance: Array | None = None
-    """(n, 3, 3) mm²"""
 
 
 def places_of(result: Result) -> tuple[PlottedPoints, ...]:
@@ -37,11 +22,8 @@ def places_of(result: Result) -> tuple[PlottedPoints, ...]:
         _instruments(result, "tracers", "tracer"),
         _instruments(result, "stations", "station"),
     ]
-    cameras = _instruments(result, "views", "image") if result.statistics.get("rig") == "network" else None
     return tuple(
-        points
-        for points in (*parts, cameras, *_about_board(result), *_launch(result))
-        if points is not None and len(points.at)
+        points for points in (*parts, *cameras_of(result), *_launch(result)) if points is not None and len(points.at)
     )
 
 
@@ -116,20 +98,7 @@ def _instruments(result: Result, name: str, key: str) -> PlottedPoints | None:
         return None
     kept = np.isfinite(table.stacked(_XYZ)).all(axis=1)
     names = tuple(np.array(table.texts(key))[kept].tolist())
-    return PlottedPoints({"views": "cameras"}.get(name, name), names, table.stacked(_XYZ)[kept])
-
-
-def _about_board(result: Result) -> list[PlottedPoints]:
-    """Return the cameras about a board: those of its views, whose poses turn and shift its frame into the camera."""
-    table = result.tables.get("views")
-    if result.statistics.get("rig") != "board" or table is None or "alpha" not in table:
-        return []
-    rotation = rotation_from_euler(*table.stacked(("alpha", "beta", "gamma")).T)
-    at = -np.einsum("nji,nj->ni", rotation, table.stacked(_XYZ))
-    return [
-        PlottedPoints("board", ("origin",), np.zeros((1, 3))),
-        PlottedPoints("cameras", tuple(table.texts("image")), at),
-    ]
+    return PlottedPoints(name, names, table.stacked(_XYZ)[kept])
 
 
 def _launch(result: Result) -> list[PlottedPoints]:
@@ -141,7 +110,8 @@ def _launch(result: Result) -> list[PlottedPoints]:
     at = np.array([[result.estimates[row].value for row in rows]])
     covariance = result.covariance[np.ix_(rows, rows)][None]
     receivers = at + beams.numbers("length")[:, None] * beams.stacked(("wx", "wy", "wz"))
+    along = np.stack([np.broadcast_to(at, receivers.shape), receivers], axis=1)[:, None]
     return [
         PlottedPoints("launch unit", ("launch unit",), at, covariance=covariance),
-        PlottedPoints("receiver in each pose", tuple(beams.texts("pose")), receivers),
+        PlottedPoints("receiver in each pose", tuple(beams.texts("pose")), receivers, lines=along),
     ]

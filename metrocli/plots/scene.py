@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import EllipseCollection
+from matplotlib.collections import EllipseCollection, LineCollection
 
 from metrocli.arrays import Array
 from metrocli.frozen import dataclass
 from metrocli.plots import labels
 from metrocli.plots.magnify import in_words, length_in_words, magnification, round_size, thinned_vectors
-from metrocli.plots.places import PlottedPoints, places_of
+from metrocli.plots.places import places_of
+from metrocli.plots.plotted_points import PlottedPoints
 from metrocli.plots.style import MARKERS, Canvas, arrows, bare
 from metrocli.result import Result
 from metrocli.words import in_a_row
@@ -74,10 +75,11 @@ def _largest(place: PlottedPoints) -> PlottedPoints:
         rows = np.linspace(0, len(place.at) - 1, _MOST).astype(np.intp)
     else:
         rows = thinned_vectors(place.at, np.linalg.norm(place.vectors, axis=1), _MOST)
-    chosen = [None if values is None else values[rows] for values in (place.vectors, place.covariance)]
-    return PlottedPoints(
-        place.kind, tuple(place.names[row] for row in rows), place.at[rows], chosen[0], place.vector_name, chosen[1]
+    vectors, covariance, lines = (
+        None if values is None else values[rows] for values in (place.vectors, place.covariance, place.lines)
     )
+    names = tuple(place.names[row] for row in rows)
+    return PlottedPoints(place.kind, names, place.at[rows], vectors, place.vector_name, covariance, lines)
 
 
 def view(turn: float = TURN, tilt: float = TILT) -> Array:
@@ -115,6 +117,9 @@ def draw(canvas: Canvas, scene: Scene) -> str:
     for place, colour, marker in zip(scene.places, theme.cycle, MARKERS, strict=False):
         flat = place.at @ rows[:2].T
         _draw_spread(axes, place, flat, scene.ellipsoids, rows, theme.muted)
+        if place.lines is not None:
+            drawn = LineCollection(list(place.lines.reshape(-1, 2, 3) @ rows[:2].T), colors=colour, linewidths=0.6)
+            axes.add_collection(drawn)
         if place.vectors is not None:
             arrows(axes, flat, place.vectors @ rows[:2].T * scene.vectors, colour, 0.002)
         few = len(place.names) <= _NAMED

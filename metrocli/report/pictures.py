@@ -125,6 +125,8 @@ def _turning(scene: Scene) -> dict[str, Any]:
             kind["names"] = [shortened(name, style.LETTERS) for name in place.names]
         if place.vectors is not None:
             kind["vectors"] = _rounded(place.vectors)
+        if place.lines is not None:
+            kind["lines"] = _rounded((place.lines - middle).reshape(-1, 2, 3))
         if place.covariance is not None and np.isfinite(place.covariance).all():
             kind["covariance"] = _rounded(4 * place.covariance)
         kinds.append(kind)

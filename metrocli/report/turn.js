@@ -55,6 +55,11 @@ for (const holder of document.querySelectorAll("[data-scene]")) {
     pen.font = "12px system-ui, sans-serif";
     scene.kinds.forEach((kind, k) => {
       const ink = colour(["first", "third", "fourth", "second"][k % 4]);
+      if (kind.lines) {
+        pen.strokeStyle = ink; pen.lineWidth = 0.7; pen.beginPath();
+        kind.lines.forEach(([a, b]) => { pen.moveTo(...flat(a)); pen.lineTo(...flat(b)); });
+        pen.stroke();
+      }
       kind.at.forEach((p, i) => {
         const [x, y] = flat(p);
         if (kind.covariance) {

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +16,7 @@ from metrocli.words import listed
 
 if TYPE_CHECKING:
     from metrocli.record import Record
+    from metrocli.result import Result
     from metrocli.uncertainty.comparison import Comparison
 
 FIGURES = ("max_en", "p_value", "chi2")
@@ -45,7 +47,11 @@ def command(
     wanted = requirement.read(require, FIGURES)
     (before, of_one), (other, of_other) = held(first), held(second)
     comparison, shared = compare(before, other), _shared(of_one, of_other)
-    echo(summary.as_json(_figures(comparison, shared)) if as_json else _text(comparison, shared))
+    lenses = _lenses(before, other)
+    if as_json:
+        echo(summary.as_json({**_figures(comparison, shared), **({"lens_difference": lenses} if lenses else {})}))
+    else:
+        echo("\n".join([_text(comparison, shared), *_lenses_in_text(lenses, first, second)]))
     return 0 if wanted is None else wanted.exit_code(comparison)
 
 
@@ -53,6 +59,25 @@ def _shared(first: Record, second: Record) -> list[str]:
     """Return the paths of the inputs of the first result that the second was made from too, by content."""
     known = {file.sha256 for file in second.inputs}
     return [file.path for file in first.inputs if file.sha256 in known]
+
+
+def _lenses(first: Result, second: Result) -> dict[str, dict[str, float]]:
+    """Return by how much the lenses of each camera of two calibrations differ over the image, by their names."""
+    if {first.kind, second.kind} != {"calibrate-camera"}:
+        return {}
+    from metrocli.tasks.shared.images.lens_difference import lens_differences
+
+    sizes = ((one.name, one.rms, *one.largest) for one in lens_differences(first, second))
+    return {name or "camera": {"rms": rms, "largest": worst, "u": u, "v": v} for name, rms, worst, u, v in sizes}
+
+
+def _lenses_in_text(lenses: dict[str, dict[str, float]], first: Path, second: Path) -> Iterator[str]:
+    for name, of in lenses.items():
+        place = f"at ({of['u']:.0f}, {of['v']:.0f}) px"
+        size = f"{of['rms']:.2g} px (root mean square), {of['largest']:.2g} px at most, {place}"
+        yield f"{name}, over the image after the best rotation: {size}"
+    if lenses:
+        yield f"shown by: metrocli plot {second} lens-difference --before {first}"
 
 
 def _figures(comparison: Comparison, shared: list[str]) -> dict[str, Any]:
@@ -96,11 +121,9 @@ def _text(comparison: Comparison, shared: list[str]) -> str:
     independent = "the uncertainties count as independent"
     if comparison.counted_once:
         once = f"what they share by {', '.join(comparison.counted_once)} counts once"
-        lines.append(
-            f"{once}; other inputs count as independent" + (f": both have {', '.join(shared)}" if shared else "")
-        )
+        lines.append(f"{once}; other inputs count as independent" + (f": both have {listed(shared)}" if shared else ""))
     elif shared:
-        lines.append(f"both are made from {', '.join(shared)}; {independent} all the same")
+        lines.append(f"both are made from {listed(shared)}; {independent} all the same")
     else:
         lines.append(f"the results have no input in common; {independent}")
     if comparison.only_in_one:

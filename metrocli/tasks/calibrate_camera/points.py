@@ -4,12 +4,27 @@ from __future__ import annotations
 
 import numpy as np
 
+from metrocli.adjust.model.groups import Group
+from metrocli.adjust.model.quantities import Quantity
 from metrocli.adjust.solution import Solution
 from metrocli.arrays import Array, Index
 from metrocli.instruments import camera
 from metrocli.table import Table
 from metrocli.tasks.shared.joint_covariance import factors
 from metrocli.uncertainty.predicted import POINTS_COVARIANCE
+
+
+def with_places(targets: Table, solution: Solution) -> Table:
+    """Return the table of targets with their coordinates, as listed or as adjusted."""
+    block = solution.blocks[camera.TARGET]
+    row = {name: number for number, name in enumerate(block.members)}
+    return targets.joined({"x y z [mm]": block.values[[row[name] for name in targets.texts("target")]]})
+
+
+def depths(group: Group, solution: Solution) -> Array:
+    """Return how far before its camera each target is, along the optical axis, for each reading (n,) [mm]."""
+    to_camera = group.chain.until(Quantity.POINT_IN_CAMERA)
+    return np.asarray(to_camera.predict({**solution.blocks}, group.observations)[2])
 
 
 def points_of(solution: Solution, target: Index, origins: Array) -> tuple[Table, dict[str, Array]]:

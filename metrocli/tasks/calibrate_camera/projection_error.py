@@ -6,11 +6,13 @@ import numpy as np
 
 from metrocli.adjust.solution import Solution
 from metrocli.arrays import Array, Index
-from metrocli.effects.links.lens_shape import SHAPE
+from metrocli.effects.links.lens_shape import SHAPE, LensShape
+from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.instruments import camera
 from metrocli.instruments.camera_start import plane_frame
 from metrocli.instruments.lenses.lens import equidistant, focal, ideal_point, image_point, unit_vector
+from metrocli.table import Table
 from metrocli.tasks.calibrate_camera.problem import CameraProblem
 from metrocli.tasks.calibrate_camera.shape.found import by_shape, link_of
 from metrocli.tasks.shared.statistics import Statistics
@@ -21,6 +23,8 @@ _ONE_ANGLE, _BADLY = np.radians(10.0), 1e-3
 """Boards whose normals are nearer to each other have one angle; uncertainty of a focal length from which that counts"""
 _WARNED = 0.01
 """Uncertainty of a corner, as a share of the width of the image, from which it is a warning"""
+_GRID = (17, 13)
+"""Columns and rows of places over the image"""
 _SAMPLE = 400
 """Most readings that determine which rotation of the camera a change of the lens imitates"""
 _ALONG = np.linspace(0.01, 4.0, 400)
@@ -28,38 +32,89 @@ _ALONG = np.linspace(0.01, 4.0, 400)
 
 
 def corner_std(problem: CameraProblem, solution: Solution, readings: Array) -> float:
-    """Return the largest standard uncertainty [px] of the image of a fixed direction in a corner of the image.
-
-    J is the derivative of image points by the lens parameters p, at the corners c and at readings r (2, n), and T that
-    by a rotation of the camera. The uncertainty is that of `(J_c - T_c T_r^+ J_r) dp`. A rotation of the camera changes
-    no measurement, and a shift of the principal point is nearly one (mrcal, projection uncertainty).
-    """
-    lens = solution.blocks[camera.LENS]
-    free = np.flatnonzero(lens.free[0])
-    if not free.size:
-        return 0.0
+    """Return the largest standard uncertainty [px] of the image of a fixed direction in a corner of the image."""
     w, h = problem.image_size
     corners = np.array([[x, y] for x in (0, w - 1) for y in (0, h - 1)], dtype=float).T
-    some = readings[:, np.linspace(0, readings.shape[1] - 1, min(readings.shape[1], _SAMPLE)).astype(int)]
-    there = _Linear(problem, lens.columns, lens.values[0])
-    at_corners, by_turn = there.by_lens(corners, free), there.by_turn(corners)
-    near, near_turn = there.by_lens(some, free), there.by_turn(some)
-    if (link := link_of(problem)) is not None:
-        at_corners, near = (
-            np.concatenate([lens, by_shape(link, uv)], axis=1) for lens, uv in ((at_corners, corners), (near, some))
-        )
-    confounded = np.linalg.lstsq(near_turn, near, rcond=None)[0]
-    change = at_corners - by_turn @ confounded
+    return float(_of_single(problem, solution, readings).std(corners).max())
+
+
+def projection_table(problem: CameraProblem, solution: Solution, readings: Array, depth: float) -> Table:
+    """Return u, v and the standard uncertainty [px] of the images of fixed points at a distance, over the image."""
+    return Table.of(_over_image(_of_single(problem, solution, readings), problem.image_size, depth))
+
+
+@dataclass(frozen=True)
+class CameraOfSeveral:
+    """One of several cameras: name and number of its member of the block of lenses, convention and size."""
+
+    name: str
+    number: int
+    convention: str
+    size: tuple[int, int]
+
+
+def projection_of_member(solution: Solution, own: CameraOfSeveral, readings: Array, depth: float) -> Table:
+    """Return the table `projection_table` of one of several cameras, with its name."""
+    lens = solution.blocks[camera.LENS]
+    free = np.flatnonzero(lens.free[own.number])
+    covariance = solution.covariance_or_raise().members(camera.LENS)[own.number][np.ix_(free, free)]
+    there = _Linear(own.convention, lens.columns, lens.values[own.number])
+    columns = _over_image(_Projection(there, free, covariance, readings), own.size, depth)
+    return Table.of({"camera [text]": [own.name] * (_GRID[0] * _GRID[1]), **columns})
+
+
+def _over_image(projection: _Projection, size: tuple[int, int], depth: float) -> dict[str, Array]:
+    along = [np.linspace(0, extent - 1, n) for extent, n in zip(size, _GRID, strict=True)]
+    uv = np.stack([part.ravel() for part in np.meshgrid(*along)])
+    return {"u v [px]": uv.T, "std [px]": projection.std(uv, depth)}
+
+
+def _of_single(problem: CameraProblem, solution: Solution, readings: Array) -> _Projection:
+    """Return the projection by a camera that is calibrated alone, with the shape of its lens."""
+    lens, link = solution.blocks[camera.LENS], link_of(problem)
     covariance = solution.joint((camera.LENS, *([SHAPE] if link is not None else [])))
-    variance = np.einsum("ia,ab,ib->i", change, covariance, change)
-    return float(np.sqrt(np.maximum(variance.reshape(2, -1).sum(axis=0), 0.0).max()))
+    there = _Linear(problem.convention, lens.columns, lens.values[0])
+    return _Projection(there, np.flatnonzero(lens.free[0]), covariance, readings, link)
+
+
+@dataclass(frozen=True)
+class _Projection:
+    """A lens with the covariance of its free parameters, and of its shape, and the readings (2, n) that gave it."""
+
+    there: _Linear
+    free: Index
+    covariance: Array
+    readings: Array
+    link: LensShape | None = None
+
+    def std(self, at: Array, depth: float = np.inf) -> Array:
+        """Return the standard uncertainty (n,) [px] of the images of fixed points at image points (2, n).
+
+        J is the derivative of image points by the lens parameters p, at these points c and at readings r, and T that
+        by a movement of the camera. The uncertainty is that of `(J_c - T_c T_r^+ J_r) dp`. A movement of the camera
+        changes no measurement, and a shift of the principal point is nearly one (mrcal, projection uncertainty).
+        Points are at a `depth` along the axis; at an infinite one the camera is turned only.
+        """
+        if not len(self.free):
+            return np.zeros(at.shape[1])
+        count = self.readings.shape[1]
+        some = self.readings[:, np.linspace(0, count - 1, min(count, _SAMPLE)).astype(int)]
+        there, near = self._by_lens(at), self._by_lens(some)
+        confounded = np.linalg.lstsq(self.there.by_movement(some, depth), near, rcond=None)[0]
+        change = there - self.there.by_movement(at, depth) @ confounded
+        variance = np.einsum("ia,ab,ib->i", change, self.covariance, change)
+        return np.asarray(np.sqrt(np.maximum(variance.reshape(2, -1).sum(axis=0), 0.0)))
+
+    def _by_lens(self, uv: Array) -> Array:
+        of_lens = self.there.by_lens(uv, self.free)
+        return of_lens if self.link is None else np.concatenate([of_lens, by_shape(self.link, uv)], axis=1)
 
 
 class _Linear:
     """Derivatives of image points of fixed directions, u of all before v of all."""
 
-    def __init__(self, problem: CameraProblem, columns: tuple[str, ...], values: Array) -> None:
-        self.columns, self.values, self.convention = columns, values, problem.convention
+    def __init__(self, convention: str, columns: tuple[str, ...], values: Array) -> None:
+        self.columns, self.values, self.convention = columns, values, convention
 
     def named(self, values: Array) -> dict[str, float]:
         return dict(zip(self.columns, values.tolist(), strict=True))
@@ -101,24 +156,37 @@ class _Linear:
             columns.append((ahead - behind) / (2 * step[k]))
         return np.stack(columns, axis=1)
 
-    def by_turn(self, uv: Array) -> Array:
-        """Return the derivatives by a rotation of the camera about x, y and z, (2 n, 3), without distortion."""
+    def by_movement(self, uv: Array, depth: float) -> Array:
+        """Return the derivatives by a rotation of the camera about x, y and z, and by a shift, without distortion.
+
+        (2 n, 6), the shift in units of the depth [mm]; (2 n, 3) at an infinite depth.
+        """
         fx, fy = focal(self.named(self.values))
         x, y = self.directions(uv)
         if self.convention == "fisheye":
-            return self._turned(np.stack([x, y]), np.array([[fx], [fy]]))
-        by_x = np.concatenate([fx * x * y, fy * (1 + y**2)])
-        by_y = np.concatenate([fx * (1 + x**2), fy * x * y])
-        by_z = np.concatenate([fx * -y, fy * x])
-        return np.stack([by_x, by_y, by_z], axis=1)
+            return self._moved(np.stack([x, y]), np.array([[fx], [fy]]), depth)
+        zero = np.zeros_like(x)
+        turns = [
+            np.concatenate([fx * x * y, fy * (1 + y**2)]),
+            np.concatenate([fx * (1 + x**2), fy * x * y]),
+            np.concatenate([fx * -y, fy * x]),
+        ]
+        shifts = [
+            np.concatenate([fx + zero, zero]), np.concatenate([zero, fy + zero]), np.concatenate([fx * x, fy * y])
+        ]  # fmt: skip
+        return np.stack([*turns, *(shifts if np.isfinite(depth) else [])], axis=1)
 
     @staticmethod
-    def _turned(flat: Array, focals: Array) -> Array:
-        """Return the derivatives `by_turn` of a fisheye at points of its plane (2, n), by differences."""
+    def _moved(flat: Array, focals: Array, depth: float) -> Array:
+        """Return the derivatives `by_movement` of a fisheye at points of its plane (2, n), by differences."""
         seen = unit_vector(flat)
+        axes = np.eye(3) * _STEP
+        moves = [np.cross(axis, seen, axisb=0, axisc=0) for axis in axes]
+        if np.isfinite(depth):
+            # points at one distance: those of a wide angle have no depth along the axis
+            moves += [np.broadcast_to(axis[:, None], seen.shape) for axis in axes]
         columns = []
-        for axis in np.eye(3) * _STEP:
-            moved = np.cross(axis, seen, axisb=0, axisc=0)
+        for moved in moves:
             ahead, behind = (equidistant(seen + sign * moved) for sign in (1, -1))
             columns.append((focals * [ahead.x - behind.x, ahead.y - behind.y] / (2 * _STEP)).ravel())
         return np.stack(columns, axis=1)

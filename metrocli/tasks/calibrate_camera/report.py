@@ -32,13 +32,14 @@ from metrocli.tasks.calibrate_camera.lens_conventions import (
     photogrammetric_form,
 )
 from metrocli.tasks.calibrate_camera.other_lenses import fisheye_instead
-from metrocli.tasks.calibrate_camera.points import points_of
+from metrocli.tasks.calibrate_camera.points import depths, points_of, with_places
 from metrocli.tasks.calibrate_camera.problem import CameraProblem
 from metrocli.tasks.calibrate_camera.projection_error import (
     angle_warnings,
     corner_std,
     coverage_note,
     coverage_warnings,
+    projection_table,
 )
 from metrocli.tasks.calibrate_camera.settings import CameraSettings, Settings
 from metrocli.tasks.calibrate_camera.shape.found import shape_arrays, shape_notes, shape_rms, shape_table
@@ -141,6 +142,9 @@ def _tables_and_arrays(solved: _Calibration, hidden: Table) -> tuple[dict[str, T
         TABLE: hidden,
         **effect_tables,
     }
+    tables["targets"] = with_places(tables["targets"], solution)
+    depth = float(np.median(np.abs(depths(adjusted.group, solution))))
+    tables["projection_error"] = projection_table(problem, solution, adjusted.group.observations.readings, depth)
     if problem.rig == "cmm":
         del tables["views"]  # the machine gives their poses: they are no unknowns
     else:

@@ -20,7 +20,9 @@ from metrocli.tasks.calibrate_camera import KIND
 from metrocli.tasks.calibrate_camera.advice import correlation_warnings, unfolded
 from metrocli.tasks.calibrate_camera.length_errors import length_errors
 from metrocli.tasks.calibrate_camera.multi_camera.system import CameraSystem
-from metrocli.tasks.calibrate_camera.points import points_of
+from metrocli.tasks.calibrate_camera.multi_camera.views import views_of
+from metrocli.tasks.calibrate_camera.points import depths, points_of, with_places
+from metrocli.tasks.calibrate_camera.projection_error import CameraOfSeveral, projection_of_member
 from metrocli.tasks.calibrate_camera.settings import Files, Settings
 from metrocli.tasks.job import Job
 from metrocli.tasks.shared.images.adjustment import AdjustedImages
@@ -55,6 +57,10 @@ def report(system: CameraSystem, adjusted: AdjustedImages, job: Job[Settings, Fi
         CAMERAS: _cameras(system, solution),
         **effects,
     }
+    tables["targets"] = with_places(tables["targets"], solution)
+    tables["projection_error"] = _projection_error(system, adjusted)
+    if system.rig != "cmm":
+        tables["views"] = tables["views"].joined(pose_columns(*views_of(system, solution)))
     tested, tests = None, job.files.test_lengths
     if system.rig == "network":
         tables["points"], of_points = _points(solution, adjusted)
@@ -88,6 +94,19 @@ def report(system: CameraSystem, adjusted: AdjustedImages, job: Job[Settings, Fi
         details=adjusted.details(p.names),
         plain=("dof",),
     )
+
+
+def _projection_error(system: CameraSystem, adjusted: AdjustedImages) -> Table:
+    """Return how well each camera projects over its image, at the distance of its targets."""
+    solution, observations = adjusted.solution, adjusted.group.observations
+    far, of = np.abs(depths(adjusted.group, solution)), observations.index[camera.LENS]
+    parts = []
+    for number, name in enumerate(solution.blocks[camera.LENS].members):
+        mine = of == number
+        own = CameraOfSeveral(name, number, system.convention, system.size(name))
+        depth = float(np.median(far[mine]))
+        parts.append(projection_of_member(solution, own, observations.readings[:, mine], depth))
+    return Table.stack(parts)
 
 
 def _points(solution: Solution, adjusted: AdjustedImages) -> tuple[Table, dict[str, Array]]:

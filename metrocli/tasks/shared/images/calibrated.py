@@ -6,12 +6,13 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from metrocli.arrays import Array
+from metrocli.arrays import Array, Index
 from metrocli.effects.links.lens_shape import Knots, KnownShape, unshifted
 from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.instruments.lenses.lens import direction
 from metrocli.result import Result
+from metrocli.table import Table
 
 CAMERAS, LENS_SHAPE = "cameras", "lens_shape"
 """Tables of several cameras, and of the shift over the image that a spline adds to its base lens"""
@@ -39,6 +40,14 @@ class StatedCamera:
         """Return vectors (3, n), of any length, to what is seen at image points (2, n) px."""
         u, v = unshifted(uv, self.shape)
         return direction(self.lens, u, v, self.convention)
+
+
+def of_each(table: Table) -> list[tuple[str, Index]]:
+    """Return the name and the rows of each camera of a table; the name is empty where there is one."""
+    if "camera" not in table:
+        return [("", np.arange(len(table)))]
+    names = np.array(table.texts("camera"))
+    return [(name, np.flatnonzero(names == name)) for name in dict.fromkeys(names.tolist())]
 
 
 def stated_cameras(result: Result) -> list[StatedCamera]:

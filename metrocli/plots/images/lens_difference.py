@@ -1,0 +1,49 @@
+"""Difference of two cameras over the image, as vectors."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from metrocli.plots.beside import Beside
+from metrocli.plots.magnify import in_words, magnification
+from metrocli.plots.style import Canvas, arrows
+from metrocli.result import Result
+from metrocli.tasks.shared.images.lens_difference import LensDifference, lens_differences
+
+_SHARE = 1 / 14
+"""Length of the largest vector, as a share of the width of the image"""
+
+Shown = list[LensDifference]
+
+
+def data(result: Result, beside: Beside) -> Shown | None:
+    """Return the difference of each camera from the earlier result; None without one."""
+    return (lens_differences(beside.before, result) or None) if beside.before is not None else None
+
+
+def height(shown: Shown) -> float:
+    """Return the height of the figure in inches."""
+    return sum(min(5.6 * one.size[1] / one.size[0] + 0.7, 6.0) for one in shown) + 0.2
+
+
+def draw(canvas: Canvas, shown: Shown) -> str:
+    """Draw the figure and return its caption."""
+    factor = magnification(max(one.largest[0] for one in shown), _SHARE * shown[0].size[0])
+    for axes, one in zip(canvas.axes(len(shown)), shown, strict=True):
+        axes.set_aspect("equal")
+        known = np.isfinite(one.change).all(axis=0)
+        arrows(axes, one.uv[:, known].T, factor * one.change[:, known].T, canvas.theme.first)
+        axes.set_xlim(-0.5, one.size[0] - 0.5)
+        axes.set_ylim(one.size[1] - 0.5, -0.5)
+        axes.set_xlabel("u (px)")
+        axes.set_ylabel("v (px)")
+        axes.set_title(one.name)
+    each = "; ".join(in_text(one) for one in shown)
+    return f"Image points of this camera less those of the other one, magnified {in_words(factor)}: {each}."
+
+
+def in_text(one: LensDifference) -> str:
+    """Return the size of a difference, in words."""
+    largest, u, v = one.largest
+    name = f"{one.name}: " if one.name else ""
+    return f"{name}rms {one.rms:.2g} px, largest {largest:.2g} px at ({u:.0f}, {v:.0f})"
