@@ -62,7 +62,7 @@ FIGURES: dict[str, FigureEntry] = {
     "coverage": FigureEntry("images.coverage", "coverage of the image by readings"),
     "projection-error": FigureEntry("images.projection_error", "expected projection error over the image"),
     "lens-difference": FigureEntry(
-        "images.lens_difference", "difference of two cameras over the image, after the best rotation", beside=True
+        "beside.lens_difference", "difference of two cameras over the image, after the best rotation", beside=True
     ),
     "error-curves": FigureEntry("error_curves", "errors of a machine over its axes (actual minus commanded)"),
     "positioning": FigureEntry("positioning", "positioning of the axes by ISO 230-2"),

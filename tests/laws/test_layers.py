@@ -44,7 +44,7 @@ NOT_KINDS = {"__init__", "job", "kind", "shared"}
 """In `tasks`: what is no kind of job"""
 INSIDE = {
     "report": [{"result_page", "project_page"}, {"*"}, {"content", "html"}],
-    "plots": [{"beside"}, {"*"}, {"readings", "places", "style"}, {"noise_bands", "thinning", "magnify"}],
+    "plots": [{"beside"}, {"*"}, {"readings", "style"}, {"noise_bands", "thinning", "magnify", "plotted_points"}],
     "adjust": [{"coupled_fields", "rounds"}, {"robust", "dense_jacobian"}, {"adjustment"}, {"*"}, {"model"}],
     "effects": [{"own"}, {"links"}, {"*"}],
     "diagnosis": [

@@ -35,7 +35,8 @@ def cameras_of(result: Result) -> list[PlottedPoints]:
     board = _board(result.tables.get("targets")) if rig == "board" else []
     around = [each.at for each in board] + [placed[known, :3]]
     size = _DEPTH * float(np.linalg.norm(np.ptp(np.concatenate(around), axis=0)))
-    lines = _pyramids(placed[known], images, stated_cameras(result), size) if len(images) <= _MOST else None
+    lens = stated_cameras(result) if "camera" in result.tables and len(images) <= _MOST else []
+    lines = _pyramids(placed[known], images, lens, size) if lens else None
     return [*board, PlottedPoints("cameras", tuple(images), placed[known, :3], lines=lines)]
 
 
@@ -46,7 +47,7 @@ def _board(targets: Table | None) -> list[PlottedPoints]:
     at, names = targets.stacked("xyz"), targets.texts("target")
     places = [_ON_GRID.fullmatch(name) for name in names]
     row_of = {(int(place[1]), int(place[2])): row for row, place in enumerate(places) if place}
-    # each target has a line to the next one of its row and of its column, of no length where there is none
+    # each target has a line to the next one of its row and of its column; at the rim these end where they begin
     ends = np.tile(np.arange(len(at))[:, None], (1, 2))
     for (row, column), k in row_of.items():
         ends[k] = row_of.get((row, column + 1), k), row_of.get((row + 1, column), k)

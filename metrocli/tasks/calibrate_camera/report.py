@@ -32,7 +32,6 @@ from metrocli.tasks.calibrate_camera.lens_conventions import (
     photogrammetric_form,
 )
 from metrocli.tasks.calibrate_camera.other_lenses import fisheye_instead
-from metrocli.tasks.calibrate_camera.points import depths, points_of, with_places
 from metrocli.tasks.calibrate_camera.problem import CameraProblem
 from metrocli.tasks.calibrate_camera.projection_error import (
     angle_warnings,
@@ -46,6 +45,7 @@ from metrocli.tasks.calibrate_camera.shape.found import shape_arrays, shape_note
 from metrocli.tasks.calibrate_camera.turned_images import turned_images
 from metrocli.tasks.shared.images.adjustment import AdjustedImages
 from metrocli.tasks.shared.images.camera_parameters import Parameters, parameters, pose_columns, unit_of
+from metrocli.tasks.shared.images.seen_points import depths, points_of, with_places
 from metrocli.tasks.shared.images.tables import (
     adjustment_notes,
     image_statistics,

@@ -21,7 +21,6 @@ from metrocli.tasks.calibrate_camera.advice import correlation_warnings, unfolde
 from metrocli.tasks.calibrate_camera.length_errors import length_errors
 from metrocli.tasks.calibrate_camera.multi_camera.system import CameraSystem
 from metrocli.tasks.calibrate_camera.multi_camera.views import views_of
-from metrocli.tasks.calibrate_camera.points import depths, points_of, with_places
 from metrocli.tasks.calibrate_camera.projection_error import CameraOfSeveral, projection_of_member
 from metrocli.tasks.calibrate_camera.settings import Files, Settings
 from metrocli.tasks.job import Job
@@ -36,6 +35,7 @@ from metrocli.tasks.shared.images.camera_parameters import (
     with_effects,
 )
 from metrocli.tasks.shared.images.exposures import IMAGE
+from metrocli.tasks.shared.images.seen_points import depths, points_of, with_places
 from metrocli.tasks.shared.images.tables import adjustment_notes, image_statistics, image_tables, image_warnings
 from metrocli.tasks.shared.statistics import Statistics, chi_interval, noise_notes, noise_warnings
 

@@ -15,9 +15,9 @@ from metrocli.tasks.calibrate_camera.multi_camera.system import CameraSystem
 def views_of(system: CameraSystem, solution: Solution) -> tuple[Array, Array]:
     """Return the pose of each image (images, 6), as one camera has it, and the covariance (images, 6, 6) of its steps.
 
-    With rig board `P = M^-1 V` transforms from the board to the camera, with rig network `P = V M` is the pose of the
-    camera: V of the exposure, M of the camera in the frame of the first. A step shifts a pose and turns it from the
-    left.
+    V is the pose of the exposure, M that of the camera in the frame of the first. With rig board `P = M^-1 V`
+    transforms from the board to the camera; with rig network `P = V M` is the pose of the camera. A step shifts a pose
+    and turns it from the left.
     """
     at, of = system.exposed.exposure, system.exposed.camera
     view, mount = solution.blocks[camera.VIEW].values[at], solution.blocks[camera.MOUNT].values[of]
