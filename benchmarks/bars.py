@@ -43,12 +43,20 @@ class Rate:
             return low <= self.most and high >= self.least
         return self.least <= self.share <= self.most
 
+    @property
+    def verdict(self) -> str:
+        """In words: a share beyond its bar is `too few` where its interval reaches the bar."""
+        low, high = self.bounds
+        if self.met:
+            return "met"
+        return "too few" if low <= self.most and high >= self.least else "NOT MET"
+
     def __str__(self) -> str:
         low, high = self.bounds
         bar = f">= {self.least:.0%}" if self.least else ""
         bar += (" and " if bar and self.most < 1 else "") + (f"<= {self.most:.0%}" if self.most < 1 else "")
         value = f"{self.share:.1%} [{low:.1%}, {high:.1%}]"
-        return _row(self.what, f"{self.hits}/{self.of}", value, bar, "" if not bar else _verdict(self.met))
+        return _row(self.what, f"{self.hits}/{self.of}", value, bar, "" if not bar else self.verdict)
 
 
 @dataclass(frozen=True)
@@ -69,10 +77,5 @@ class Number:
 
     def __str__(self) -> str:
         ends = [f"{sign} {end:g}" for sign, end in ((">=", self.least), ("<=", self.most)) if abs(end) < inf]
-        return _row(
-            self.what, self.of, f"{self.value:.3g} {self.unit}".rstrip(), " and ".join(ends), _verdict(self.met)
-        )
-
-
-def _verdict(met: bool) -> str:
-    return "met" if met else "NOT MET"
+        verdict = "" if not ends else "met" if self.met else "NOT MET"
+        return _row(self.what, self.of, f"{self.value:.3g} {self.unit}".rstrip(), " and ".join(ends), verdict)

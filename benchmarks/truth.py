@@ -64,7 +64,7 @@ def rows(title: str, arguments: list[str]) -> Iterator[str]:
         fields = re.split(r"\s{2,}", line.strip())
         if line.startswith("-- "):
             section = line.removeprefix("-- ").partition(",")[0].removeprefix(title.rpartition(", ")[2])
-        elif len(fields) == 5 and fields[-1] in ("met", "NOT MET"):
+        elif len(fields) == 5 and fields[-1] in ("met", "NOT MET", "too few"):
             yield " | ".join([f"{section}: {fields[0]}" if section else fields[0], *fields[1:]])
             count += 1
     if done.returncode and not count:
@@ -88,7 +88,10 @@ def written(title: str, lines: list[str]) -> None:
     mine = f"| {title}: "
     at = next((n for n, line in enumerate(old) if line.startswith(mine)), len(old))
     kept = [line for line in old if not line.startswith(mine)]
-    about = "Rows are of `make bench-truth`, or of one of its campaigns, on the day that stands last."
+    about = (
+        "Rows are of `make bench-truth`, or of one of its campaigns, on the day that stands last. A share is `too few` "
+        "where it is beyond its bar and its interval reaches it."
+    )
     PAGE.write_text("\n".join([head + TRUTH, "", about, "", *HEAD, *kept[:at], *lines, *kept[at:], ""]))
 
 

@@ -11,6 +11,7 @@ from metrocli.adjust.model.chain import LinkContext, Step
 from metrocli.adjust.model.quantities import Quantity
 from metrocli.arrays import Array, Index
 from metrocli.frozen import dataclass
+from metrocli.instruments.camera import LENS
 
 SHAPE = "lens-shape"
 """Block of the shape of a lens"""
@@ -97,13 +98,15 @@ def _along(extent: int, count: int, x: Array, slope: bool) -> tuple[Index, Array
 class LensShape:
     """Link that shifts image points: `(u, v) += sum_k B_k(u, v) (N w)_k`, w its own block.
 
-    N takes the unknowns to coefficients, so that they change neither the base lens nor the pose of the camera.
+    N takes the unknowns to coefficients, so that they change neither the base lens nor the pose of the camera. Of
+    several cameras, it shifts the image points of one `member` of the block of lenses.
     """
 
     knots: Knots
     to_coefficients: Array
     """N (coefficients, size)"""
     block: str = SHAPE
+    member: int | None = None
     takes = gives = Quantity.IMAGE_POINT
 
     @property
@@ -115,11 +118,15 @@ class LensShape:
         """Return the shifted image point (2, n) [px], with derivatives by the image point and the unknowns."""
         both = self.to_coefficients.reshape(2, -1, self.to_coefficients.shape[1])
         coefficients = both @ local.rows(self.block)[:, 0]
-        at = self.knots.basis(value)
+        at = self._basis(value, local)
         moved = value + coefficients @ at.T
         if not local.wanted:
             return Step(moved)
-        by_point = np.stack([coefficients @ self.knots.basis(value, slope).T for slope in (0, 1)], axis=1)
+        by_point = np.stack([coefficients @ self._basis(value, local, slope).T for slope in (0, 1)], axis=1)
         by_point = by_point + np.eye(2)[:, :, None]
         by_shape = np.stack([(at @ one).T for one in both])
         return Step(moved, by_point, {self.block: by_shape} if self.block in local.wanted else {})
+
+    def _basis(self, value: Array, local: LinkContext, slope: int | None = None) -> Array:
+        basis = self.knots.basis(value, slope)
+        return basis if self.member is None else basis * (local.observations.index[LENS] == self.member)[:, None]

@@ -45,22 +45,33 @@ def projection_table(problem: CameraProblem, solution: Solution, readings: Array
 
 @dataclass(frozen=True)
 class CameraOfSeveral:
-    """One of several cameras: name and number of its member of the block of lenses, convention and size."""
+    """One of several cameras: name and number of its member of the block of lenses, convention, size and shape."""
 
     name: str
     number: int
     convention: str
     size: tuple[int, int]
+    shape: LensShape | None = None
 
 
 def projection_of_member(solution: Solution, own: CameraOfSeveral, readings: Array, depth: float) -> Table:
     """Return the table `projection_table` of one of several cameras, with its name."""
     lens = solution.blocks[camera.LENS]
     free = np.flatnonzero(lens.free[own.number])
-    covariance = solution.covariance_or_raise().members(camera.LENS)[own.number][np.ix_(free, free)]
+    covariance = _with_shape(solution, own, free)
     there = _Linear(own.convention, lens.columns, lens.values[own.number])
-    columns = _over_image(_Projection(there, free, covariance, readings), own.size, depth)
+    columns = _over_image(_Projection(there, free, covariance, readings, own.shape), own.size, depth)
     return Table.of({"camera [text]": [own.name] * (_GRID[0] * _GRID[1]), **columns})
+
+
+def _with_shape(solution: Solution, own: CameraOfSeveral, free: Index) -> Array:
+    """Return the covariance of the free parameters of one of several lenses and of its shape."""
+    known, size = solution.covariance_or_raise(), len(solution.blocks[camera.LENS].columns)
+    of_lens = known.members(camera.LENS)[own.number][np.ix_(free, free)]
+    if own.shape is None:
+        return np.asarray(of_lens)
+    cross = known.between(camera.LENS, own.shape.block)[own.number * size + free]
+    return np.asarray(np.block([[of_lens, cross], [cross.T, known.of(own.shape.block)]]))
 
 
 def _over_image(projection: _Projection, size: tuple[int, int], depth: float) -> dict[str, Array]:

@@ -146,8 +146,6 @@ class OneOfSeveral(CameraSettings):
         yield from super().faults()
         if self.images.count("*") != 1:
             yield "images", "images has not one *, such as left*.jpg: what it stands for names the exposure"
-        if self.model == SPLINE:
-            yield "model", "the model spline is for a single camera: calibrate that alone, or give another model"
 
 
 @dataclass(frozen=True)
@@ -238,6 +236,11 @@ class Settings:
             yield "cameras", "cameras are of one lens model: all opencv, all fisheye or all backward"
         if len({"fx" in camera.estimate or "fx" in camera.given() for camera in self.cameras.values()}) > 1:
             yield "cameras", "either all cameras have f, or all have fx and fy"
+        if self.rig == "cmm" and any(camera.model == SPLINE for camera in self.cameras.values()):
+            yield (
+                "rig",
+                "rig: cmm takes the model spline of a single camera: calibrate that alone, or give another model",
+            )
         for name, several in self.cameras.items():
             if self.inputs.observations is not None and several.image_size is None:
                 yield f"cameras.{name}", "image_size is missing: a table of observations does not contain it"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
@@ -238,6 +239,30 @@ def test_points_of_a_network_are_placed_by_all_cameras(tmp_path: Path, metrocli:
         errors, known = file["length_errors"][:], file["points"][:]
         assert errors["en"].max() < 1.5 and errors["std"].max() < 0.02
         assert len(known) == 30 and known["rays"].min() >= 2
+
+
+def test_the_shape_of_one_lens_is_found_among_two(tmp_path: Path, metrocli: Metrocli) -> None:
+    """A bump of 1 px in the images of the left camera; the right one is asked for its shape and has none."""
+    images = seen(16)
+    for name in [one for one in images if one.startswith("left")]:
+        off = images[name] - [600.0, 400.0]
+        images[name] = images[name] + np.exp(-(off**2).sum(axis=1) / (2 * 150**2))[:, None] * [1.0, 0.5]
+    path = job(tmp_path, images, (", model: spline", ", model: spline"))
+    ran = metrocli("calibrate-camera", path)
+    assert ran.code == 0, ran.err
+    assert "with u and v exchanged" not in ran.err  # of one reading beyond the image
+    told = re.search(r"shape of the lens of left beside its base: ([0-9.]+) px", ran.out)
+    assert told is not None
+    assert 0.05 < float(told[1]) < 0.5  # the base takes a part of the bump
+    assert "no shape of the lens of right" in ran.out
+    found = estimates(tmp_path / "rig.h5")
+    truth = {f"right.{key}": v for key, v in zip("xyz", SHIFT.tolist(), strict=True)} | {"right.f": LENSES["right"][0]}
+    assert max(abs(found[name][0] - value) / found[name][1] for name, value in truth.items()) < 4
+    with h5py.File(tmp_path / "rig.h5") as file:
+        assert set(file["lens_shape"]["camera"]) == {b"left"}
+    ran = metrocli("export", tmp_path / "rig.h5", "--to", "kalibr", "--out", tmp_path / "out", "--within", "2px")
+    assert "left: radtan is the nearest model" in ran.err
+    assert metrocli("check", path, "--set", "rig=cmm").err.count("takes the model spline of a single camera") == 1
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 
@@ -11,6 +11,7 @@ from metrocli.adjust.solution import Residuals, Solution
 from metrocli.arrays import Array
 from metrocli.effects.estimates import estimates, free_blocks
 from metrocli.effects.estimates import tables as effect_results
+from metrocli.effects.links.lens_shape import LensShape
 from metrocli.geometry import poses
 from metrocli.instruments import camera
 from metrocli.instruments.lenses.conventions import projection_range
@@ -23,9 +24,10 @@ from metrocli.tasks.calibrate_camera.multi_camera.system import CameraSystem
 from metrocli.tasks.calibrate_camera.multi_camera.views import views_of
 from metrocli.tasks.calibrate_camera.projection_error import CameraOfSeveral, projection_of_member
 from metrocli.tasks.calibrate_camera.settings import Files, Settings
+from metrocli.tasks.calibrate_camera.shape.found import coefficients, rms_of
 from metrocli.tasks.job import Job
 from metrocli.tasks.shared.images.adjustment import AdjustedImages
-from metrocli.tasks.shared.images.calibrated import CAMERAS
+from metrocli.tasks.shared.images.calibrated import CAMERAS, LENS_SHAPE
 from metrocli.tasks.shared.images.camera_parameters import (
     POSE_UNITS,
     Parameters,
@@ -36,6 +38,7 @@ from metrocli.tasks.shared.images.camera_parameters import (
 )
 from metrocli.tasks.shared.images.exposures import IMAGE
 from metrocli.tasks.shared.images.seen_points import depths, points_of, with_places
+from metrocli.tasks.shared.images.settings import SPLINE
 from metrocli.tasks.shared.images.tables import adjustment_notes, image_statistics, image_tables, image_warnings
 from metrocli.tasks.shared.statistics import Statistics, chi_interval, noise_notes, noise_warnings
 
@@ -59,6 +62,14 @@ def report(system: CameraSystem, adjusted: AdjustedImages, job: Job[Settings, Fi
     }
     tables["targets"] = with_places(tables["targets"], solution)
     tables["projection_error"] = _projection_error(system, adjusted)
+    shapes = {solution.blocks[camera.LENS].members[link.member or 0]: link for link in system.shapes}
+    if shapes:
+        tables[LENS_SHAPE] = Table.stack(
+            [
+                Table.of({"camera [text]": [name] * (link.knots.size // 2), **coefficients(link, solution)})
+                for name, link in shapes.items()
+            ]
+        )
     if system.rig != "cmm":
         tables["views"] = tables["views"].joined(pose_columns(*views_of(system, solution)))
     tested, tests = None, job.files.test_lengths
@@ -89,11 +100,21 @@ def report(system: CameraSystem, adjusted: AdjustedImages, job: Job[Settings, Fi
             *(tested.notes if tested is not None else ()),
             *adjustment_notes(adjusted),
             *_baselines(solution),
+            *_of_shapes(system, shapes, solution),
             *(noise_notes(solution) if known else ()),
         ),
         details=adjusted.details(p.names),
         plain=("dof",),
     )
+
+
+def _of_shapes(system: CameraSystem, shapes: Mapping[str, LensShape], solution: Solution) -> Iterator[str]:
+    for name, one in system.cameras.items():
+        if name in shapes:
+            size = rms_of(shapes[name], solution)
+            yield f"shape of the lens of {name} beside its base: {size:.2g} px (rms over the image)"
+        elif one.model == SPLINE:
+            yield f"the readings show no shape of the lens of {name} beside its base: its result is that of the base"
 
 
 def _projection_error(system: CameraSystem, adjusted: AdjustedImages) -> Table:
@@ -103,7 +124,8 @@ def _projection_error(system: CameraSystem, adjusted: AdjustedImages) -> Table:
     parts = []
     for number, name in enumerate(solution.blocks[camera.LENS].members):
         mine = of == number
-        own = CameraOfSeveral(name, number, system.convention, system.size(name))
+        link = next((one for one in system.shapes if one.member == number), None)
+        own = CameraOfSeveral(name, number, system.convention, system.size(name), link)
         depth = float(np.median(far[mine]))
         parts.append(projection_of_member(solution, own, observations.readings[:, mine], depth))
     return Table.stack(parts)

@@ -8,9 +8,11 @@ from dataclasses import replace
 import numpy as np
 
 from metrocli.adjust.adjustment import StoppingRule, adjust
+from metrocli.adjust.clusters.robust import FROM_RESIDUALS
 from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.groups import Group, priors
 from metrocli.arrays import Array
+from metrocli.effects.links.lens_shape import SHAPE, LensShape
 from metrocli.effects.model import Model, Place
 from metrocli.effects.modelled import Modelled
 from metrocli.errors import InputError, UndeterminedError
@@ -25,9 +27,11 @@ from metrocli.tasks.calibrate_camera.multi_camera.start import CalibratedCamera,
 from metrocli.tasks.calibrate_camera.problem import CameraProblem
 from metrocli.tasks.calibrate_camera.readings import scale_bars
 from metrocli.tasks.calibrate_camera.settings import OneOfSeveral, Settings
+from metrocli.tasks.calibrate_camera.shape.spline import extended, shape_of
 from metrocli.tasks.shared.images.adjustment import IMAGES
 from metrocli.tasks.shared.images.eccentricity import corrected
 from metrocli.tasks.shared.images.exposures import IMAGE, Exposures, exposures
+from metrocli.tasks.shared.images.settings import SPLINE
 from metrocli.tasks.shared.images.sightings import Sighted, placed
 from metrocli.words import in_a_row
 
@@ -54,6 +58,12 @@ class CameraSystem(Modelled):
     def convention(self) -> str:
         """The convention of all lenses."""
         return next(iter(self.cameras.values())).convention
+
+    @property
+    def shapes(self) -> list[LensShape]:
+        """The links of the shapes of lenses."""
+        links = self.images.chain.links
+        return [link for link in links if isinstance(link, LensShape) and link.member is not None]
 
     def size(self, name: str) -> tuple[int, int]:
         """Return width and height [px] of the images of a camera."""
@@ -91,13 +101,20 @@ def system_of(
     seen_in = np.bincount(sighted.target, minlength=len(targets.names))
     known = (*priors(blocks[camera.TARGET], targets.sigma, free), *scale_bars(bars, targets.names, seen_in))
     model = Model(blocks, (group, *known), datum, (IMAGES,), places, nominal={camera.TARGET: targets.points})
+    for number, problem in enumerate(each):
+        shown = _shape(problem, cameras[exposed.cameras[number]], settings)
+        if shown is not None:
+            link, covariance = shown
+            own = replace(link, block=f"{SHAPE} {exposed.cameras[number]}", member=number)
+            model = extended(model, own, covariance)
     # a target of a network that one camera does not place is placed by all together
-    own = each if settings.rig != "network" else ()
-    warnings = (*sighted.warnings, *(line for problem in own for line in problem.sighted.warnings))
+    told = each if settings.rig != "network" else ()
+    warnings = (*sighted.warnings, *(line for problem in told for line in problem.sighted.warnings))
     system = CameraSystem(model, settings.rig, cameras, exposed, replace(sighted, warnings=warnings))
     if not sighted.eccentric:
         return system
-    group, consistent = corrected(group, blocks, tuple(known), datum, targets.radius)
+    others = tuple(one for one in model.groups if one.name != IMAGES)
+    group, consistent = corrected(model.group(IMAGES), dict(model.blocks), others, datum, targets.radius)
     return system.with_model(model.with_group(group).with_blocks(consistent))
 
 
@@ -137,6 +154,11 @@ def _in_first_frame(each: Sequence[CameraProblem], order: Sequence[tuple[int, in
             {**mine.blocks, **{name: mine.blocks[name].with_values(values) for name, values in moved.items()}}
         )
     return laid
+
+
+def _shape(problem: CameraProblem, several: OneOfSeveral, settings: Settings) -> tuple[LensShape, Array] | None:
+    """Return the shape of a lens that is asked for and that the readings of its camera alone show, with its prior."""
+    return shape_of(problem, settings.noise not in FROM_RESIDUALS) if several.model == SPLINE else None
 
 
 def _seen(exposed: Exposures, number: int, problem: CameraProblem) -> CalibratedCamera:

@@ -35,13 +35,16 @@ def by_shape(link: LensShape, uv: Array) -> Array:
 def shape_table(problem: CameraProblem, solution: Solution) -> dict[str, Table]:
     """Return the coefficients of the shift [px] at their knots, with standard uncertainties; {} without a shape."""
     link = link_of(problem)
-    if link is None:
-        return {}
+    return {} if link is None else {LENS_SHAPE: Table.of(coefficients(link, solution))}
+
+
+def coefficients(link: LensShape, solution: Solution) -> dict[str, Array]:
+    """Return the coefficients of a shift [px] at their knots, with standard uncertainties, by heading."""
     n, places = link.to_coefficients, link.knots.places()
-    shift = (n @ solution.blocks[SHAPE].values[0]).reshape(2, -1)
-    std = np.sqrt(np.einsum("ka,ab,kb->k", n, solution.covariance_or_raise().of(SHAPE), n)).reshape(2, -1)
+    shift = (n @ solution.blocks[link.block].values[0]).reshape(2, -1)
+    std = np.sqrt(np.einsum("ka,ab,kb->k", n, solution.covariance_or_raise().of(link.block), n)).reshape(2, -1)
     columns = {"u [px]": places[:, 0], "v [px]": places[:, 1], "du [px]": shift[0], "dv [px]": shift[1]}
-    return {LENS_SHAPE: Table.of({**columns, "std_du [px]": std[0], "std_dv [px]": std[1]})}
+    return {**columns, "std_du [px]": std[0], "std_dv [px]": std[1]}
 
 
 def shape_arrays(problem: CameraProblem, solution: Solution) -> dict[str, Array]:
@@ -61,9 +64,12 @@ def shape_arrays(problem: CameraProblem, solution: Solution) -> dict[str, Array]
 def shape_rms(problem: CameraProblem, solution: Solution) -> float:
     """Return the root mean square shift over the image [px]; 0 without a shape."""
     link = link_of(problem)
-    if link is None:
-        return 0.0
-    shift = by_shape(link, np.stack(image_grid(problem.image_size))) @ solution.blocks[SHAPE].values[0]
+    return 0.0 if link is None else rms_of(link, solution)
+
+
+def rms_of(link: LensShape, solution: Solution) -> float:
+    """Return the root mean square shift of a shape over its image [px]."""
+    shift = by_shape(link, np.stack(image_grid(link.knots.image_size))) @ solution.blocks[link.block].values[0]
     return float(np.sqrt(2 * (shift**2).mean()))
 
 

@@ -18,11 +18,13 @@ from metrocli.adjust.model.observations import Observations
 from metrocli.adjust.solution import Solution
 from metrocli.arrays import Array
 from metrocli.effects.links.lens_shape import SHAPE, Knots, LensShape
+from metrocli.effects.model import Model
 from metrocli.instruments import camera
 from metrocli.instruments.lenses.conventions import image_grid
 from metrocli.instruments.lenses.lens import direction
 from metrocli.tasks.calibrate_camera.problem import CameraProblem
 from metrocli.tasks.calibrate_camera.shape.size import Evidence, likely
+from metrocli.tasks.shared.images.adjustment import IMAGES
 
 _KNOTS = 12
 """Knots along the longer side of the image"""
@@ -41,11 +43,15 @@ def with_shape(problem: CameraProblem, noise_known: bool) -> CameraProblem:
     if not base.outcome.good:
         return problem
     problem = problem.with_blocks({**problem.blocks, **base.blocks})
+    shown = shape_of(problem, noise_known)
+    return problem if shown is None else problem.with_model(extended(problem.model, *shown))
+
+
+def shape_of(problem: CameraProblem, noise_known: bool) -> tuple[LensShape, Array] | None:
+    """Return the shape that the readings of an adjusted calibration show, and the covariance of its unknowns."""
     link = link_free_of_base(problem)
     size = likely(_evidence(problem, link, noise_known), kernels(link, problem.image_size))
-    if size.gain < _SHOWN:
-        return problem
-    return _extended(problem, link, size.covariance)
+    return None if size.gain < _SHOWN else (link, size.covariance)
 
 
 def link_free_of_base(problem: CameraProblem) -> LensShape:
@@ -92,22 +98,22 @@ def kernels(link: LensShape, image_size: tuple[int, int]) -> list[Array]:
     return [n.T @ np.kron(np.eye(2), one) @ n for one in alike]
 
 
-def _extended(problem: CameraProblem, link: LensShape, covariance: Array) -> CameraProblem:
+def extended(model: Model, link: LensShape, covariance: Array) -> Model:
+    """Return a model whose image points are shifted by a shape, with the covariance of its unknowns as a prior."""
     size = link.to_coefficients.shape[1]
-    block = Block(SHAPE, np.zeros((1, size)), tuple(f"w{k + 1}" for k in range(size)))
+    block = Block(link.block, np.zeros((1, size)), tuple(f"w{k + 1}" for k in range(size)))
     prior = joint_prior([(block, np.zeros(size, dtype=np.intp), np.arange(size))], covariance)
-    images = problem.images
+    images = model.group(IMAGES)
     group = Group(images.name, images.chain.spliced([link]), images.observations, images.weights)
-    model = problem.model.with_group(group)
-    groups = (*model.groups, prior)
-    return problem.with_model(replace(model, groups=groups, blocks={**model.blocks, SHAPE: block}))
+    model = model.with_group(group)
+    return replace(model, groups=(*model.groups, prior), blocks={**model.blocks, link.block: block})
 
 
 def _evidence(problem: CameraProblem, link: LensShape, noise_known: bool) -> Evidence:
     """Return what the readings know of the shape, from an adjustment with a wide prior that is taken off again."""
     size = link.to_coefficients.shape[1]
     wide = np.eye(size) * _WIDE**2
-    solution = _adjusted(_extended(problem, link, wide))
+    solution = _adjusted(problem.with_model(extended(problem.model, link, wide)))
     values = solution.blocks[SHAPE].values[0]
     inverse = np.linalg.inv(solution.covariance_or_raise().of(SHAPE))
     right = inverse @ values

@@ -64,16 +64,20 @@ def stated_cameras(result: Result) -> list[StatedCamera]:
     for row, name in enumerate(cameras.texts("camera")):
         lens = {key: value for of, (key, value) in zip(table.texts("camera"), named, strict=True) if of == name}
         pose = poses.pose_from_euler(place[row, :3], place[row, 3:]) if row else None
-        found.append(StatedCamera(name, lens, convention, tuple(sizes[row]), images[row], pose))
+        size = tuple(sizes[row])
+        found.append(StatedCamera(name, lens, convention, size, images[row], pose, _shape(result, size, name)))
     return found
 
 
 _SIZE = ("image_width", "image_height")
 
 
-def _shape(result: Result, image_size: tuple[int, int]) -> KnownShape | None:
+def _shape(result: Result, image_size: tuple[int, int], camera: str = "") -> KnownShape | None:
     if LENS_SHAPE not in result.tables:
         return None
     table = result.tables[LENS_SHAPE]
-    knots = Knots(image_size, (len(np.unique(table.numbers("u"))), len(np.unique(table.numbers("v")))))
-    return KnownShape(knots, table.stacked(("du", "dv")).T)
+    rows = dict(of_each(table)).get(camera)
+    if rows is None:
+        return None
+    knots = Knots(image_size, (len(np.unique(table.numbers("u")[rows])), len(np.unique(table.numbers("v")[rows]))))
+    return KnownShape(knots, table.stacked(("du", "dv"))[rows].T)

@@ -37,6 +37,8 @@ _BEYOND = 0.01
 """How far beyond the border a reading may lie, as a share of the image size"""
 _MANY = 0.25
 """If a larger share of the readings lies outside, the file is refused; a smaller share may be gross errors"""
+_EXCHANGED = 0.02
+"""A smaller share of readings outside is no sign of exchanged columns: these put a strip of the image outside"""
 _MOST_LOST = 1 / 3
 """Largest share of the images that is left out with a warning"""
 _TRIED = 3
@@ -250,8 +252,8 @@ def join(table: Table, targets: TargetCoordinates, sigma: float, fewest: int) ->
 def check_inside(sighted: Sighted, size: Array) -> Sighted:
     """Return the sightings, with a warning if a few readings lie outside the image; `size` is (2, n) px.
 
-    Raises InputError if many do, if one is farther outside than the image is large, or if all would lie inside with u
-    and v exchanged.
+    Raises InputError if many do, if one is farther outside than the image is large, or if not few do and all would lie
+    inside with u and v exchanged.
     """
     uv = sighted.observations.readings
     extent = np.broadcast_to(size, uv.shape)
@@ -267,7 +269,8 @@ def check_inside(sighted: Sighted, size: Array) -> Sighted:
         f"{which}: image {keys['image'][i]}, target {keys['target'][i]} at ({uv[0, i]:.1f}, {uv[1, i]:.1f}); "
         "check image_size and the columns"
     )
-    exchanged = ((uv >= -_BEYOND * extent[::-1]) & (uv <= (1 + _BEYOND) * extent[::-1])).all()
+    few = outside.mean() < _EXCHANGED
+    exchanged = not few and ((uv >= -_BEYOND * extent[::-1]) & (uv <= (1 + _BEYOND) * extent[::-1])).all()
     if exchanged:
         raise InputError(f"{message}; with u and v exchanged all would lie inside")
     if outside.mean() > _MANY or far.any():
