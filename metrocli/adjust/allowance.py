@@ -29,3 +29,9 @@ def take(steps: int = 1) -> None:
     if left < steps:
         raise NotConvergedError("the adjustment did not converge within its steps")
     _LEFT.set(left - steps)
+
+
+def is_short(reserve: int) -> bool:
+    """Return whether fewer steps than a reserve are left: a try ends its start, so that its adjustment can begin."""
+    left = _LEFT.get()
+    return left is not None and left < reserve

@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from metrocli.adjust.adjustment import StoppingRule, adjust
+from metrocli.adjust.allowance import is_short
 from metrocli.adjust.datum import Datum
 from metrocli.adjust.medians import median
 from metrocli.adjust.model.blocks import Block
@@ -38,36 +39,45 @@ SAME = 0.99
 _ROUNDS = 12
 _NEAR = 0.1
 """A reweighted round but the last ends with a step below this, in standard deviations: the next weights change more"""
+_RESERVE = 14
+"""Steps that a try keeps for its adjustment"""
 _ENOUGH = 8
 """A member with at least so many readings has a scale of its own"""
 
 
 def robust_start(
-    blocks: Iterable[Block], groups: Sequence[Group], name: str, datum: Datum | None = None, within: str = ""
+    blocks: Iterable[Block], groups: Sequence[Group], names: Sequence[str], datum: Datum | None = None, within: str = ""
 ) -> dict[str, Block]:
-    """Return blocks near the solution, undisturbed by gross errors among the readings of group `name`.
+    """Return blocks near the solution, undisturbed by gross errors among the readings of some groups.
 
     A few steps are taken first, with weights 1/|v| if some readings are far off at the start. If residuals beyond 8
-    robust standard deviations remain, the group is reweighted in rounds: first with 1/|v| (least absolute deviations),
-    then with Tukey's biweight. The scale of each round is the median of the residuals. `within` names an index of the
-    readings, such as the image, whose members have their own scale: an image still far off is not rejected as a whole.
+    robust standard deviations remain, the groups are reweighted in rounds: first with 1/|v| (least absolute
+    deviations), then with Tukey's biweight. The scale of each round is the median of the residuals of a group. `within`
+    names an index of the readings, such as the image, whose members have their own scale: an image still far off is
+    not rejected as a whole.
     """
     state: Mapping[str, Block] = {block.name: block for block in blocks}
-    group = next(group for group in groups if group.name == name)
-    held = _reweighted(groups, name, _least_absolute(_share(group, state, within)))
+    chosen = [group for group in groups if group.name in names]
+
+    def shares() -> dict[str, Array]:
+        return {group.name: _share(group, state, within) for group in chosen}
+
+    held = _reweighted(groups, {name: _least_absolute(share) for name, share in shares().items()})
     first = adjust(state.values(), held, datum, StoppingRule(limit=15, covariance=False))
     state = first.blocks
-    if first.outcome is Outcome.NO_START or _share(group, state).max(initial=0.0) <= _GROSS:
+    share = shares()
+    if first.outcome is Outcome.NO_START or max(one.max(initial=0.0) for one in share.values()) <= _GROSS:
         return dict(state)
-    share = _share(group, state, within)
     for turn in range(_ROUNDS):
+        if is_short(_RESERVE):
+            break
         # least absolute deviations first: the biweight ignores what is far off, so it needs a start that is near
-        weights = _least_absolute(share) if turn < _ROUNDS // 2 else np.maximum(1 - (share / _TUKEY) ** 2, 0.0) ** 2
-        held = _reweighted(groups, name, weights)
+        weigh = _least_absolute if turn < _ROUNDS // 2 else _biweight
+        held = _reweighted(groups, {name: weigh(one) for name, one in share.items()})
         control = StoppingRule(limit=8, covariance=False)
         near = control if turn == _ROUNDS - 1 else replace(control, tolerance=_NEAR)
         state = adjust(state.values(), held, datum, near).blocks
-        share = _share(group, state, within)
+        share = shares()
     return dict(state)
 
 
@@ -76,10 +86,15 @@ def _least_absolute(share: Array) -> Array | None:
     return None if share.max(initial=0.0) <= _GROSS else 1 / np.maximum(share, 1.0)
 
 
-def _reweighted(groups: Sequence[Group], name: str, weights: Array | None) -> list[Group]:
+def _biweight(share: Array) -> Array:
+    """Return Tukey's biweight, 0 beyond the tuning constant."""
+    return np.asarray(np.maximum(1 - (share / _TUKEY) ** 2, 0.0) ** 2)
+
+
+def _reweighted(groups: Sequence[Group], weights: Mapping[str, Array | None]) -> list[Group]:
     # not 0: a member whose readings all have no weight would make the normal matrix singular
-    kept = None if weights is None else np.maximum(weights, 1e-12)
-    return [replace(group, weights=kept) if group.name == name else group for group in groups]
+    kept = {name: None if one is None else np.maximum(one, 1e-12) for name, one in weights.items()}
+    return [replace(group, weights=kept[group.name]) if group.name in kept else group for group in groups]
 
 
 def _share(group: Group, blocks: Mapping[str, Block], within: str = "") -> Array:

@@ -60,6 +60,11 @@ FORMATS: dict[str, ImportFormat] = {
         "colmap.github.io/format.html",
         "unit",
     ),
+    "comp3d": ImportFormat(
+        "metrocli.imports.comp3d",
+        "spatial networks of Comp3D (IGN): observations .obs, points .cor",
+        "ignf.github.io/Comp3D/doc, OBS File and COR File",
+    ),
     "gama-xml": ImportFormat(
         "metrocli.imports.gama_xml",
         "spatial networks of GNU Gama (gama-local)",

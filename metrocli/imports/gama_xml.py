@@ -3,13 +3,14 @@
 Source: GNU Gama manual, XML input data format for gama-local (points in m, angles in gon or d-m-s, standard deviations
 in mm and cc or arcsec). North is +y and east +x in what is written. A station stands over its point, once for
 each set of observations and each height of its instrument. An angle is two directions of a round of its own, each with
-1/sqrt(2) of its standard deviation. A plane network has all its points at one height: z = 0, by height differences 0.
+1/sqrt(2) of its standard deviation. An azimuth is a direction of a station whose x axis is to the north. A plane
+network has all its points at one height: z = 0, by height differences 0.
 """
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from decimal import Decimal, InvalidOperation
 from xml.etree import ElementTree
 
@@ -24,14 +25,15 @@ _READ = {
     "direction": ("hz", "direction-stdev"),
     "s-distance": ("d", "distance-stdev"),
     "distance": ("d", "distance-stdev"),
+    "azimuth": ("hz", "azimuth-stdev"),
     "z-angle": ("zd", "zenith-angle-stdev"),
 }
-_HINT = (
-    "with stdev: <direction>, <angle>, <s-distance>, <z-angle>, <dh>, or <direction>, <angle>, <distance> of a plane"
-)
-_HORIZONTAL = ("direction", "angle")
+_HINT = "with stdev: <direction>, <angle>, <azimuth>, <s-distance>, <z-angle>, <dh>, or <distance> of a plane network"
+_HORIZONTAL = ("direction", "angle", "azimuth")
 _UPRIGHT = ("s-distance", "z-angle", "dh", "vec")
-_STATIONS = ("station", "instrument", "over", "height_mm", "sigma_height_mm")
+_STATIONS = ("station", "instrument", "over", "height_mm", "sigma_height_mm", "gamma_deg")
+_NORTH = "90"
+"""Direction of the x axis of a station whose readings are azimuths, from +x, which is east"""
 INSTRUMENT = "TS1"
 """Name of the instrument in what is written: declare it as a total station"""
 Element = ElementTree.Element
@@ -46,13 +48,18 @@ def files(lines: TextLines, wishes: ImportOptions) -> Imported:
     network = root if root.tag == "network" else root.find("network")
     if network is None:
         raise InputError([lines.fault("there is no <network>", None, "expected: the XML input of gama-local")])
+    return survey_of(lines, network, "gama-xml")
+
+
+def survey_of(lines: TextLines, network: Element, form: str, notes: Iterable[str] = ()) -> Imported:
+    """Return the files of a network; raises InputError that lists all faults."""
     reader = _NetworkSections(lines, network)
     survey = reader.read()
     if reader.faults:
         raise InputError(reader.faults)
-    notes = [f"{reader.left_out} observations of points without fix or adj are left out"] if reader.left_out else []
-    origin = f"from {lines.file} (gama-xml)"
-    return {name: to_csv(header, rows, origin, notes) for name, (header, rows) in survey.items() if rows}
+    left_out = [f"{reader.left_out} observations of points without fix or adj are left out"] if reader.left_out else []
+    origin = f"from {lines.file} ({form})"
+    return {name: to_csv(header, rows, origin, [*notes, *left_out]) for name, (header, rows) in survey.items() if rows}
 
 
 def _bare(root: Element) -> Element:
@@ -76,24 +83,24 @@ def _without_unlisted(network: Element) -> int:
     return count
 
 
-def _setups(obs: Element) -> dict[tuple[str, str], list[Element]]:
-    """Return the observations of a set by the point and the height of their instrument.
+def _setups(obs: Element) -> dict[tuple[str, str, bool], list[Element]]:
+    """Return the observations of a set by point and height of their instrument, and by whether they are azimuths.
 
-    Horizontal angles do not depend on the height; they join the first other observation from their point.
+    Directions and angles do not depend on the height; they join the first other observation from their point.
     """
 
-    def place(element: Element) -> tuple[str, str]:
+    def place(element: Element) -> tuple[str, str, bool]:
         name = element.get("from", obs.get("from", "")).strip()
-        return name, element.get("from_dh", obs.get("from_dh", "0"))
+        return name, element.get("from_dh", obs.get("from_dh", "0")), element.tag == "azimuth"
 
     def is_level(element: Element) -> bool:
         return element.tag in _HORIZONTAL and element.get("from_dh") is None
 
     upright = [place(element) for element in obs if not is_level(element)]
-    setups: dict[tuple[str, str], list[Element]] = {}
+    setups: dict[tuple[str, str, bool], list[Element]] = {}
     for element in obs:
         key = place(element)
-        if is_level(element):
+        if is_level(element) and not key[2]:
             key = next((other for other in upright if other[0] == key[0]), key)
         setups.setdefault(key, []).append(element)
     return setups
@@ -144,12 +151,12 @@ class _NetworkSections:
                 if element.tag == "point":
                     points += self._point(element)
                 elif element.tag == "obs":
-                    for (name, height), observations in _setups(element).items():
+                    for (name, height, by_north), observations in _setups(element).items():
                         number[name] += 1
                         station = f"{name}-{number[name]}" if often[name] > 1 else f"S{name}"
                         shots += self._set(section, observations, station, name)
                         high = "0" if self.plane else str(self._number(height, element) * 1000)
-                        stations.append((station, INSTRUMENT, name, high, "0"))
+                        stations.append((station, INSTRUMENT, name, high, "0", _NORTH if by_north else ""))
                 elif element.tag == "height-differences":
                     heights += self._heights(element)
                 else:

@@ -43,7 +43,7 @@ def cleaned(seen: Seen) -> Cleaned:
     """As the jobs do: a robust start, what is gross out, then one after another what the test rejects."""
     made = problem(seen)
     group = made.groups[0]
-    blocks = robust_start(made.blocks.values(), made.groups, "images")
+    blocks = robust_start(made.blocks.values(), made.groups, ("images",))
     left = np.flatnonzero(gross(group, blocks) == 0)
     for _ in range(30):
         now = group.selected(left)
@@ -99,7 +99,7 @@ def test_clean_readings_are_left_alone() -> None:
 
 def test_a_robust_start_leaves_a_clean_problem_as_it_is() -> None:
     made = problem(look(board(9, 7), VIEWS, 21).noisy(NOISE, 22))
-    blocks = robust_start(made.blocks.values(), made.groups, "images")
+    blocks = robust_start(made.blocks.values(), made.groups, ("images",))
     best = adjust(made.blocks.values(), made.groups)
     assert np.abs((blocks["lens"].values - best.blocks["lens"].values) / best.std("lens")).max() < 1e-3
     assert not gross(made.groups[0], blocks).any()

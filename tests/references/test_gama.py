@@ -47,8 +47,9 @@ def adjusted(xml: Sequence[str], folder: Path, metrocli: Metrocli, more: str = "
     (folder / "net.gkf").write_text("\n".join([head, *xml, "</network></gama-local>"]))
     ran = metrocli("import", folder / "net.gkf", "--from", "gama-xml", "--out", folder)
     assert ran.code == 0, ran.err
+    inputs = ", ".join(f"{path.stem}: {path.name}" for path in sorted(folder.glob("*.csv")))
     (folder / "job.yaml").write_text(
-        "metrocli: 1\njob: adjust-network\ninputs: {readings: readings.csv, stations: stations.csv, points: points.csv}\n"
+        f"metrocli: 1\njob: adjust-network\ninputs: {{{inputs}}}\n"
         f"instruments: {{TS1: {{type: total-station}}}}\n{more}output: result.h5\n"
     )
     ran = metrocli("adjust-network", folder / "job.yaml")
@@ -130,3 +131,34 @@ def test_station_with_heights_of_instrument_and_targets(tmp_path: Path, metrocli
     assert place == pytest.approx([1181764.52054, 1071679.52259, 94259.82893], abs=0.02)
     assert result.statistics["dof"] == 5
     assert result.statistics["chi2"] == pytest.approx(2597.1969 / 400, rel=2e-3)
+
+
+def test_distances_and_angles_turned_by_an_azimuth(tmp_path: Path, metrocli: Metrocli) -> None:
+    """Ghilani, Adjustment Computations, 5th ed., example 16.2, after Krumm; Gama scales by its variance factor."""
+    points = {"R": "1003.06 2640.01", "S": "2323.07 2638.47", "T": "2661.75 1096.07"}
+    distances = "QR 1640.016 26;RS 1320.001 24;ST 1579.123 25;TQ 1664.524 26;QS 2105.962 29;RT 2266.035 30"
+    angles = (
+        "QRS 38-48-50.7 4.0;QST 47-46-12.4 4.0;QTR 273-24-56.5 4.4;RQS 269-57-33.4 4.7;SRT 257-32-56.8 4.7;"
+        "TSQ 279-04-31.2 4.5;RST 42-52-51.0 4.3;RSQ 90-02-26.7 4.5;SQR 51-08-45.0 4.3;STQ 51-18-16.2 4.0;"
+        "TRS 34-40-05.7 4.0"
+    )
+    lines = ["<points-observations>", "<point id='Q' x='1000' y='1000' fix='xy'/>"]
+    for name, place in points.items():
+        x, y = place.split()
+        lines.append(f"<point id='{name}' x='{x}' y='{y}' adj='xy'/>")
+    lines.append("<obs>")
+    for (a, b), value, stdev in (row.split() for row in distances.split(";")):
+        lines.append(f"<distance from='{a}' to='{b}' val='{value}' stdev='{stdev}'/>")
+    for (a, b, c), value, stdev in (row.split() for row in angles.split(";")):
+        lines.append(f"<angle from='{a}' bs='{b}' fs='{c}' val='{value}' stdev='{stdev}'/>")
+    lines += ["<azimuth from='Q' to='R' val='0-6-24.5' stdev='0.001'/>", "</obs></points-observations>"]
+    result = adjusted(lines, tmp_path, metrocli)
+    table = result.tables["points"]
+    rows = [table.texts("point").index(name) for name in points]
+    theirs = [1003.057151105, 2640.005075988, 2323.062648462, 2638.474203968, 2661.738608923, 1096.086708522]
+    assert np.abs(table.stacked("xy")[rows].ravel() / 1000 - theirs).max() < 1e-7
+    assert (result.statistics["dof"], result.statistics["chi2"]) == (12, pytest.approx(1.4920546, rel=1e-6))
+    variances = [1.3205965e-4, 35.675414, 30.141441, 43.519328, 34.818758, 52.881995]
+    ours = (table.stacked(["sx", "sy"])[rows] ** 2).ravel() * result.statistics["chi2"] / 12
+    # the azimuth holds x of R across the line to R: Gama's variance of x is that at approximate places
+    assert ours == pytest.approx(variances, rel=2e-5, abs=3e-7)

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from metrocli.adjust.clusters.spread import ClusterDirections, Excess, acting
+from metrocli.adjust.clusters.spread import ActingDirections, ClusterDirections, Excess
 from metrocli.arrays import Array
 from metrocli.frozen import dataclass
 
@@ -35,12 +35,14 @@ class Likelihood:
     """Degrees of freedom of the adjustment"""
 
     @classmethod
-    def of(cls, clusters: Sequence[ClusterDirections], first: slice, square: float, dof: float) -> Likelihood:
-        """Return the likelihood from what each cluster sees; `first` are the coordinates of the first unknowns."""
-        parts = [acting(cluster, first) for cluster in clusters]
-        seen = np.concatenate([cluster.rows.T @ u for cluster, (u, _) in zip(clusters, parts, strict=True)], axis=1)
-        strength = np.concatenate([part for _, part in parts])
-        residual = np.concatenate([u.T @ cluster.residual for cluster, (u, _) in zip(clusters, parts, strict=True)])
+    def of(
+        cls, clusters: Sequence[ClusterDirections], acting: Sequence[ActingDirections], square: float, dof: float
+    ) -> Likelihood:
+        """Return the likelihood from what each cluster sees, and from where the first unknowns act in it."""
+        pairs = list(zip(clusters, acting, strict=True))
+        seen = np.concatenate([cluster.rows.T @ directions.u for cluster, directions in pairs], axis=1)
+        strength = np.concatenate([directions.strength for directions in acting])
+        residual = np.concatenate([directions.u.T @ cluster.residual for cluster, directions in pairs])
         # information other than of the directions seen is 1, and adds nothing
         return cls(np.asarray(np.linalg.qr(seen, mode="r")), strength, residual, square, dof)
 
@@ -51,8 +53,9 @@ class Likelihood:
         half = self.seen * np.sqrt(taken)
         information = np.eye(len(half)) - half @ half.T
         right = self.seen @ (taken * self.residual)
+        root = np.linalg.cholesky(information)
         square = self.square - taken @ self.residual**2 - right @ np.linalg.solve(information, right)
-        lndet = np.log1p(more).sum() + np.linalg.slogdet(information)[1]
+        lndet = np.log1p(more).sum() + 2 * np.log(np.diag(root)).sum()
         return float(lndet + self.dof * np.log(square))
 
 

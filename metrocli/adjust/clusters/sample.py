@@ -11,7 +11,14 @@ import numpy as np
 
 from metrocli.adjust.clusters.likelihood import Likelihood, most_likely
 from metrocli.adjust.clusters.rows import ClusterRows
-from metrocli.adjust.clusters.spread import ClusterDirections, ClusterSpread, Excess, products, spreads
+from metrocli.adjust.clusters.spread import (
+    ActingDirections,
+    ClusterDirections,
+    ClusterSpread,
+    Excess,
+    products,
+    spreads,
+)
 from metrocli.arrays import Array, Index, Mask
 from metrocli.frozen import dataclass
 
@@ -82,8 +89,9 @@ class ClusterSample:
         )
         square = float(sum(cluster.residual @ cluster.residual for cluster in (*rows.of_clusters, *rows.others)))
         apart = first[shared].any()
-        excess = most_likely(Likelihood.of(seen, parts[0], square, dof)) if apart else Excess()
-        return cls(shared, root, parts, spreads(seen, parts[0], excess, prior), tuple(own), prior, excess, grows)
+        acting = [ActingDirections.of(cluster, parts[0]) for cluster in seen]
+        excess = most_likely(Likelihood.of(seen, acting, square, dof)) if apart else Excess()
+        return cls(shared, root, parts, spreads(seen, acting, excess, prior), tuple(own), prior, excess, grows)
 
     @cached_property
     def target(self) -> Array:

@@ -6,6 +6,7 @@ Method: docs/algorithms/cluster-robust-covariance.md.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 
 import numpy as np
 
@@ -60,10 +61,32 @@ class ClusterDirections:
         kept = 1 - sizes**2 > _UNDETERMINED
         return cls(vt[kept].T, sizes[kept], u[:, kept].T @ residual, vt[~kept].T)
 
-    @property
+    @cached_property
     def rows(self) -> Array:
         """`u'F`, (k, coordinates)."""
         return self.sizes[:, None] * self.directions.T
+
+
+@dataclass(frozen=True)
+class ActingDirections:
+    """The directions in which the readings of a cluster see the first unknowns, `F_1 = u diag(t) w'`."""
+
+    u: Array
+    """(k, k'), orthonormal"""
+    strength: Array
+    """`t^2`, (k',)"""
+
+    @classmethod
+    def of(cls, seen: ClusterDirections, first: slice) -> ActingDirections:
+        """Return those of a cluster; `first` are the coordinates of the first unknowns."""
+        u, sizes, _ = thin_svd(seen.rows[:, first])
+        strength = sizes**2
+        return cls(u[:, strength > _NONE], strength[strength > _NONE])
+
+    def covariance(self, excess: Excess, exponent: float = 1.0) -> Array:
+        """Return a power of `Omega = I + u diag(excess) u'` in the coordinates of the cluster, (k, k)."""
+        more = (1 + excess.at(self.strength)) ** exponent - 1
+        return np.asarray(np.eye(len(self.u)) + (self.u * more) @ self.u.T)
 
 
 @dataclass(frozen=True)
@@ -80,24 +103,26 @@ class ClusterSpread:
     """`A = Omega^1/2 (Omega^1/2 B Omega^1/2)^-1/2 Omega^1/2`, B the covariance of its residuals, (k, k)"""
 
     @classmethod
-    def of(cls, seen: ClusterDirections, expected: Array, whole: Array) -> ClusterSpread:
-        """Return a cluster; `whole` is the covariance of the coordinates for the expected errors of all readings."""
+    def of(cls, seen: ClusterDirections, expected: Array, root: Array, whole: Array) -> ClusterSpread:
+        """Return a cluster with `Omega` and its square root.
+
+        `whole` is the covariance of the coordinates for the expected errors of all readings.
+        """
         square = seen.sizes**2
         of_residuals = expected - square[:, None] * expected - expected * square + seen.rows @ whole @ seen.rows.T
-        root = _power(expected, 0.5)
-        return cls(seen, expected, root @ _power(root @ of_residuals @ root, -0.5) @ root)
+        return cls(seen, expected, root @ _inverse_root(root @ of_residuals @ root) @ root)
 
-    @property
+    @cached_property
     def change(self) -> Array:
         """What its errors contribute to the coordinates, `F' A r`, (coordinates,)."""
         return np.asarray(self.seen.rows.T @ (self.weight @ self.seen.residual))
 
-    @property
+    @cached_property
     def information(self) -> Array:
         """`F' Omega F`: the covariance of `change` for the expected errors."""
         return np.asarray(self.seen.rows.T @ self.expected @ self.seen.rows)
 
-    @property
+    @cached_property
     def levers(self) -> tuple[Array, Array]:
         """`x` and `y`, (k, k), with `F' A F = v x v'` and `F' A Omega F = v y v'`."""
         sizes = self.seen.sizes
@@ -105,29 +130,24 @@ class ClusterSpread:
         return np.asarray(left * sizes), np.asarray(left @ self.expected * sizes)
 
 
-def _power(matrix: Array, exponent: float) -> Array:
-    """Return a power of a symmetric matrix; directions that are zero stay so."""
+def _inverse_root(matrix: Array) -> Array:
+    """Return the inverse square root of a symmetric matrix; directions that are zero stay so."""
     values, vectors = np.linalg.eigh((matrix + matrix.T) / 2)
     kept = values > np.finfo(float).eps * max(float(values.max(initial=0.0)), np.finfo(float).tiny)
-    return np.asarray((vectors[:, kept] * values[kept] ** exponent) @ vectors[:, kept].T)
-
-
-def acting(seen: ClusterDirections, first: slice) -> tuple[Array, Array]:
-    """Return the directions u (k, k') in which readings see the first coordinates, with their strengths (k',)."""
-    u, sizes, _ = thin_svd(seen.rows[:, first])
-    strength = sizes**2
-    return u[:, strength > _NONE], strength[strength > _NONE]
+    return np.asarray((vectors[:, kept] / np.sqrt(values[kept])) @ vectors[:, kept].T)
 
 
 def spreads(
-    clusters: Sequence[ClusterDirections], first: slice, excess: Excess, prior: Array
+    clusters: Sequence[ClusterDirections], acting: Sequence[ActingDirections], excess: Excess, prior: Array
 ) -> tuple[ClusterSpread, ...]:
     """Return what the errors of clusters change; `prior` is the information of rows whose errors are independent."""
-    directions = [acting(cluster, first) for cluster in clusters]
-    expected = [np.eye(len(u)) + (u * excess.at(strength)) @ u.T for u, strength in directions]
+    expected = [directions.covariance(excess) for directions in acting]
     parts = [cluster.rows.T @ omega @ cluster.rows for cluster, omega in zip(clusters, expected, strict=True)]
     whole = np.sum(parts, axis=0) + prior
-    return tuple(ClusterSpread.of(cluster, omega, whole) for cluster, omega in zip(clusters, expected, strict=True))
+    return tuple(
+        ClusterSpread.of(cluster, omega, directions.covariance(excess, 0.5), whole)
+        for cluster, omega, directions in zip(clusters, expected, acting, strict=True)
+    )
 
 
 def products(clusters: Sequence[ClusterSpread], whole: Array, lines: Array, part: slice) -> tuple[Array, Array, float]:

@@ -85,8 +85,9 @@ class ListedWrongly(OfBlock):
 
     def within(self, before: Chain) -> ListedWrongly:
         """Return the effect for what reads the coordinates before it."""
-        last = before.links[-1]
-        return replace(self, reader=last if isinstance(last, ReadBlock | ReadEntries) else None)
+        # another given point that is wrong may stand between
+        readers = [link for link in before.links if isinstance(link, ReadBlock | ReadEntries)]
+        return replace(self, reader=readers[-1] if readers else None)
 
     def step(self, value: Array, local: LinkContext) -> Step:
         """Return the coordinates less their list, (c, n)."""

@@ -52,22 +52,33 @@ def datum_of(settings: Settings, readings: NetworkReadings, blocks: Mapping[str,
         members = listed if listed.any() else np.ones(points.count, dtype=bool)
     block = blocks[t.POINT]
     reference = np.where(np.isfinite(points.listed), points.listed, block.values)
-    used = {name: move for name, move in movements().items() if name in blocks}
+    open_ones = _not_determined(readings)
+    chosen = np.eye(len(FREEDOMS))[:, open_ones]
+    used = {name: move.mixed(chosen) for name, move in movements().items() if name in blocks}
     taking = (members & block.free.all(axis=1)).astype(float)
-    datum = Datum(t.POINT, np.nan_to_num(reference), taking, used, FREEDOMS)
+    datum = Datum(t.POINT, np.nan_to_num(reference), taking, used, tuple(FREEDOMS[i] for i in open_ones))
     first = -1 if listed.any() else int(np.argmax([kind != "" for kind in kind_of_stations(readings)]))
     return first, datum
+
+
+def _not_determined(readings: NetworkReadings) -> list[int]:
+    """Return the numbers of the freedoms that no levelled or oriented station and no length determines.
+
+    The reduced system of a single station does not tell the scale, or the turns of its vertical, from a shift.
+    """
+    stations = np.unique(readings.sightings.station)
+    level = any(readings.of(i).is_levelled for i in stations)
+    oriented = np.isfinite(readings.stations.gamma[stations]).any()
+    lengths = readings.lengths is not None or readings.bars is not None
+    lengths = lengths or bool(np.isfinite(readings.sightings.values[DISTANCE]).any())
+    return [0, 1, 2, *([] if level else [3, 4]), *([] if oriented else [5]), *([] if lengths else [6])]
 
 
 def open_by_given(readings: NetworkReadings) -> list[str]:
     """Return the motions that given points, verticals and lengths leave open."""
     points = readings.points
     used = np.isfinite(points.sigma) & seen_points(readings)[:, None]
-    level = any(readings.of(i).is_levelled for i in np.unique(readings.sightings.station))
-    level = level or readings.heights is not None
-    lengths = readings.lengths is not None or readings.bars is not None
-    lengths = lengths or bool(np.isfinite(readings.sightings.values[DISTANCE]).any())
-    needed = [0, 1, 2, *([] if level else [3, 4]), 5, *([] if lengths else [6])]
+    needed = [i for i in _not_determined(readings) if i not in (3, 4) or readings.heights is None]
     place = np.nan_to_num(points.listed)
     centred = place - place[used.any(axis=1)].mean(axis=0) if used.any() else place
     centred /= float(np.abs(centred[used.any(axis=1)]).max(initial=0.0)) or 1.0

@@ -208,7 +208,9 @@ def _heights(job: Job[Settings, Files], readings: NetworkReadings, rough: Networ
     size = np.abs(heights.values)
     wrong = np.flatnonzero((np.abs(heights.values + rise) < _CLOSE * size) & (np.abs(heights.values - rise) > size))
     if len(wrong) == len(rise):
-        mistake = Mistake("heights", "dh has the wrong sign", "to for from and from for to in the heading", columns=0)
+        mistake = Mistake(
+            "heights", "dh has the wrong sign", "to for from and from for to in the heading", sort="heights", columns=0
+        )
         yield mistake, _turned(job, table, wrong)
         return
     for row in wrong[:_MOST].tolist():
@@ -216,7 +218,7 @@ def _heights(job: Job[Settings, Files], readings: NetworkReadings, rough: Networ
         line = f", line {table.lines[row]}" if table.lines else ""
         mistake = Mistake(
             "heights", f"the height difference from {names} has the wrong sign{line}", "it with the other sign",
-            file=table.file,
+            file=table.file, sort="heights",
         )  # fmt: skip
         yield mistake, _turned(job, table, np.array([row]))
 

@@ -18,7 +18,8 @@ from metrocli.table import Table
 from metrocli.tasks.adjust_network import KIND
 from metrocli.tasks.adjust_network.groups import BARS, GIVEN_POINTS, HEIGHTS, OF_INSTRUMENT, is_sighting
 from metrocli.tasks.adjust_network.placed import StationEstimates, placed_stations
-from metrocli.tasks.adjust_network.solve import AdjustedNetwork, SuspectedReading
+from metrocli.tasks.adjust_network.solve import AdjustedNetwork
+from metrocli.tasks.adjust_network.suspects import SuspectedReading
 from metrocli.tasks.shared.joint_covariance import factors
 from metrocli.tasks.shared.noise import NoiseFound
 from metrocli.tasks.shared.reliability import point_shift

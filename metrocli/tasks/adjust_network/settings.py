@@ -56,6 +56,7 @@ STATIONS = Columns(
         "over?* [text]",
         "height?* sigma_height?* centring?* [length]",
         "x?* y?* z?* [length]",
+        "gamma?* [angle]",
     ),
     ("station",),
     "set-ups of the instruments",

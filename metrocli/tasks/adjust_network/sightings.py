@@ -33,6 +33,8 @@ class Stations:
     centring: Array
     listed: Array
     """Approximate places, (stations, 3), nan if not listed"""
+    gamma: Array
+    """Known azimuth of the x axis of a levelled station, nan if it is an unknown, (stations,)"""
 
 
 @dataclass(frozen=True)
@@ -78,20 +80,20 @@ def stations_of(settings: Settings, files: Files, names: Sequence[str]) -> Stati
                 over[rows] = matched(rows_of(table, rows), "over", names, "the points")
     chosen = list(settings.instruments.values())
     levelled = np.array([chosen[i].is_levelled for i in instrument])
-    height = table.numbers("height", np.nan)
+    height, gamma = table.numbers("height", np.nan), table.numbers("gamma", np.nan)
     refuse(
         table,
         {
             "a station over a point needs an instrument that is levelled": (over >= 0) & ~levelled,
             "a station over a point needs a height_mm": (over >= 0) & np.isnan(height),
+            "a station with a known gamma needs an instrument that is levelled": np.isfinite(gamma) & ~levelled,
             "a standard deviation is negative": table.numbers("sigma_height", 0.0) < 0,
         },
     )
     place = np.stack([table.numbers(axis, np.nan) for axis in "xyz"], axis=1)
     centring = np.nan_to_num(table.numbers("centring", 0.0))
-    return Stations(
-        tuple(table.texts("station")), instrument, over, height, table.numbers("sigma_height", 0.0), centring, place
-    )
+    names_of, sigma = tuple(table.texts("station")), table.numbers("sigma_height", 0.0)
+    return Stations(names_of, instrument, over, height, sigma, centring, place, gamma)
 
 
 def sightings_of(

@@ -106,7 +106,7 @@ def true_network(settings: Settings, files: Files, rng: np.random.Generator) -> 
     if lost:
         raise InputError(f"simulate and plan need x, y, z of each station; these have none: {', '.join(lost)}")
     tilt = rng.normal(0.0, _TILT, (n, 2)) * [[not readings.of(i).is_levelled] for i in range(n)]
-    turn = rng.uniform(-np.pi, np.pi, n)
+    turn = np.where(np.isnan(stations.gamma), rng.uniform(-np.pi, np.pi, n), stations.gamma)
     pose = poses.pose_from_euler(place, np.column_stack([tilt, turn]))
     gamma = turn[[station for station, _ in readings.sightings.rounds]] if readings.sightings.rounds else np.zeros(0)
     network = build(settings, readings, NetworkStart(np.nan_to_num(readings.points.listed), pose, gamma))

@@ -10,7 +10,7 @@ import numpy as np
 from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.outcome import Outcome
-from metrocli.adjust.robust import FitQuality, critical_value, gross, robust_start, suspects
+from metrocli.adjust.robust import critical_value, robust_start
 from metrocli.adjust.rounds import adjust_with_iterated_weights, in_rounds
 from metrocli.adjust.solution import Residuals, Solution, residuals_of
 from metrocli.arrays import Array, Mask
@@ -20,28 +20,21 @@ from metrocli.geometry import poses
 from metrocli.instruments import stations as s
 from metrocli.instruments import tracer as t
 from metrocli.tasks.adjust_network.datum import FREEDOMS, open_by_given
-from metrocli.tasks.adjust_network.groups import GIVEN_POINTS, ROW, is_sighting
+from metrocli.tasks.adjust_network.groups import ROW, is_sighting
 from metrocli.tasks.adjust_network.noise import component
 from metrocli.tasks.adjust_network.problem import Network
 from metrocli.tasks.adjust_network.second_places import decided_places
 from metrocli.tasks.adjust_network.settings import GIVEN, Settings
+from metrocli.tasks.adjust_network.starts.contradictions import contradicting, must_agree_with_setups, refusal
+from metrocli.tasks.adjust_network.suspects import SuspectedReading, contradictions, suspected
 from metrocli.tasks.shared.mirror import Mirrored
 from metrocli.words import in_a_row
 
 _POINTS_NEAR = 0.02
 """Plausible deviation of points from their list, as a share of the extent of the network"""
 _MOST_NAMED = 8
-
-
-@dataclass(frozen=True)
-class SuspectedReading:
-    """A reading whose residual is too large to be due to chance."""
-
-    group: str
-    row: int
-    """Among the readings of the group that were in use"""
-    test: float
-    keys: Mapping[str, str]
+_NONE = 1e-12
+"""Weight of readings that only keep an unknown determined"""
 
 
 @dataclass(frozen=True)
@@ -93,14 +86,20 @@ def solve(settings: Settings, network: Network, remove: bool) -> AdjustedNetwork
     if settings.datum == GIVEN:
         _must_be_given(network)
     _must_be_checked(network)
-    begun = _Used(network.with_blocks(_robust(network)))
+    must_agree_with_setups(network)
+    network = network.with_blocks(_robust(network))
+    wrong = contradicting(network, network.blocks)
+    if wrong and not remove:
+        raise refusal(network, wrong)
+    out = tuple(contradictions(network, wrong))
+    begun = _Used(_without(network, network.blocks, out) if out else network, out)
 
     def renewed(used: _Used, solved: AdjustedNetwork) -> tuple[_Used, bool]:
         if not remove or not solved.suspects:
             return used, False
         most = max(suspect.test for suspect in solved.suspects)
         worst = tuple(suspect for suspect in solved.suspects if suspect.test >= most / 2)
-        return _Used(_without(solved.network, solved.solution, worst), (*used.out, *worst)), True
+        return _Used(_without(solved.network, solved.solution.blocks, worst), (*used.out, *worst)), True
 
     solved = in_rounds(begun, lambda used: _adjusted(used), renewed)[1]
     return replace(solved, second=decided_places(solved.network, solved.solution))
@@ -129,12 +128,16 @@ def _weighted(network: Network) -> Solution:
 
 def _robust(network: Network) -> dict[str, Block]:
     """Return values that gross errors do not spoil."""
-    state, groups = dict(network.blocks), list(network.model.groups)
+    groups = list(network.model.groups)
     names = [name for name in network.model.measured if is_sighting(network.model.group(name))]
-    for number, name in enumerate(names):
-        if number == 0 or gross(network.model.group(name), state).any():
-            state = robust_start(state.values(), groups, name, network.datum)
-    return state
+    wrong = contradicting(network, network.blocks)
+    # what contradicts the set-ups would pull them: it waits until they are joined
+    first = [
+        replace(group, weights=np.full(group.observations.count, _NONE)) if group.name in wrong else group
+        for group in groups
+    ]
+    state = robust_start(network.blocks.values(), first, names, network.datum) if names else dict(network.blocks)
+    return robust_start(state.values(), groups, (*names, *wrong), network.datum) if wrong else state
 
 
 def _adjusted(used: _Used) -> AdjustedNetwork:
@@ -145,33 +148,13 @@ def _adjusted(used: _Used) -> AdjustedNetwork:
     }
     count = sum(residual.values.size for residual in residuals.values())
     return AdjustedNetwork(
-        network, solution, residuals, tuple(_suspects(residuals, solution)), used.out, critical_value(count)
+        network, solution, residuals, tuple(suspected(residuals, solution)), used.out, critical_value(count)
     )
 
 
-def _suspects(of_groups: Mapping[str, Residuals], solution: Solution) -> Iterator[SuspectedReading]:
-    """Yield the wrong readings, the worst first; all groups are tested together."""
-    of_groups = {name: residuals for name, residuals in of_groups.items() if not name.startswith(GIVEN_POINTS)}
-    names = [name for name, residuals in of_groups.items() for _ in range(residuals.values.shape[1])]
-    rows = np.concatenate([np.arange(residuals.values.shape[1]) for residuals in of_groups.values()])
-    parts = (
-        [getattr(residuals, key) for residuals in of_groups.values()]
-        for key in ("values", "sigma", "redundancy", "normalised")
-    )
-    tested = suspects(
-        Residuals(*(np.concatenate(part, axis=1) for part in parts)), FitQuality(solution.cost, solution.dof, True)
-    )
-    groups = {group.name: group.observations.keys for group in solution.groups}
-    for i in np.argsort(-tested.tests, kind="stable").tolist():
-        name, row = names[int(tested.rows[i])], int(rows[tested.rows[i]])
-        yield SuspectedReading(
-            name, row, float(tested.tests[i]), {key: texts[row] for key, texts in groups[name].items()}
-        )
-
-
-def _without(network: Network, solution: Solution, out: tuple[SuspectedReading, ...]) -> Network:
-    """Return the network without some readings."""
-    groups = {group.name: group for group in solution.groups}
+def _without(network: Network, blocks: Mapping[str, Block], out: tuple[SuspectedReading, ...]) -> Network:
+    """Return the network without some readings, at values of its blocks."""
+    groups = {group.name: group for group in network.model.groups}
     components, rows = [], []
     others: dict[str, list[int]] = {}
     for suspect in out:
@@ -182,7 +165,7 @@ def _without(network: Network, solution: Solution, out: tuple[SuspectedReading, 
             others.setdefault(suspect.group, []).append(suspect.row)
     seen = np.array(components, dtype=np.intp), np.array(rows, dtype=np.intp)
     fewer = {name: np.array(at, dtype=np.intp) for name, at in others.items()}
-    return network.of(network.readings.without(seen, fewer), solution.blocks)
+    return network.of(network.readings.without(seen, fewer), blocks)
 
 
 def _anchored(network: Network, solution: Solution) -> tuple[Network, Solution]:
@@ -213,7 +196,8 @@ def _to_origin(network: Network, solution: Solution) -> Array:
     else:
         place = blocks[t.POINT].values[network.readings.stations.over[network.first]]
     round_ = next(i for i, (station, _) in enumerate(network.readings.sightings.rounds) if station == network.first)
-    gamma = float(blocks[s.ORIENTATION].values[round_, 0])
+    known = np.isfinite(network.readings.stations.gamma).any()
+    gamma = 0.0 if known else float(blocks[s.ORIENTATION].values[round_, 0])
     return poses.inverse(np.array([*place, 0.0, 0.0, gamma]))
 
 

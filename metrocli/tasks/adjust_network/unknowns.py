@@ -9,11 +9,13 @@ import numpy as np
 
 from metrocli.adjust.model.blocks import Block
 from metrocli.arrays import Index, Mask
+from metrocli.errors import UndeterminedError
 from metrocli.instruments import stations as s
 from metrocli.instruments import tracer as t
 from metrocli.instruments.tracer_start import start as place_of
 from metrocli.tasks.adjust_network.readings import NetworkReadings
 from metrocli.tasks.adjust_network.starts.agreement import NetworkStart
+from metrocli.words import listed, suggestion
 
 
 def kind_of_stations(readings: NetworkReadings) -> list[str]:
@@ -38,6 +40,7 @@ def rows_of_kind(kinds: Sequence[str], kind: str) -> Index:
 def blocks_of(readings: NetworkReadings, start: NetworkStart, extent: float) -> Iterator[Block]:
     stations, points = readings.stations, readings.points
     free = points.sigma != 0
+    _must_have_places(readings, start)
     yield t.point_block(start.points, points.names, free & seen_points(readings)[:, None], extent)
     kinds = kind_of_stations(readings)
     for kind in (s.STATION, s.LEVELLED, s.OVER, t.TRACER):
@@ -62,6 +65,20 @@ def blocks_of(readings: NetworkReadings, start: NetworkStart, extent: float) -> 
         names, height, sigma = readings.setups
         seen = np.bincount(readings.sightings.setup, minlength=len(names)) > 0
         yield s.setup_block(height, names, (sigma != 0) & seen)
+
+
+def _must_have_places(readings: NetworkReadings, start: NetworkStart) -> None:
+    """Raise UndeterminedError for points of bars, heights or lengths that no sighting and no list places."""
+    lost = np.flatnonzero(seen_points(readings) & np.isnan(start.points).any(axis=1))
+    if not lost.size:
+        return
+    names = [readings.points.names[i] for i in lost]
+    others = [name for name in readings.points.names if name not in names]
+    meant = "".join(suggestion(name, others) for name in names[:1])
+    raise UndeterminedError(
+        f"points have no place: {listed(names)}. No sighting shows them, and no list has their coordinates.\n"
+        f"  Look at their names in bars, heights and lengths{f'; {meant}' if meant else ''}"
+    )
 
 
 def seen_points(readings: NetworkReadings) -> Mask:
@@ -105,5 +122,7 @@ def _orientations(readings: NetworkReadings, start: NetworkStart) -> Block:
         f"{readings.stations.names[station]} {name}" if several[station] else readings.stations.names[station]
         for station, name in seen.rounds
     ]
-    block = s.orientation_block(np.where(level, start.gamma, 0.0), names)
-    return replace(block, free=(read & level)[:, None])
+    known = readings.stations.gamma[[station for station, _ in seen.rounds]]
+    free = read & level & np.isnan(known)
+    block = s.orientation_block(np.where(level, np.where(np.isnan(known), start.gamma, known), 0.0), names)
+    return replace(block, free=free[:, None])

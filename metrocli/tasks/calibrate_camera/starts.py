@@ -82,7 +82,7 @@ def _by_turns(problem: CameraProblem) -> CameraProblem:
 
 
 def _robust(problem: CameraProblem, blocks: Mapping[str, Block], datum: Datum | None = None) -> Mapping[str, Block]:
-    return robust_start(blocks.values(), [problem.images, *problem.others], IMAGES, datum, camera.VIEW)
+    return robust_start(blocks.values(), [problem.images, *problem.others], (IMAGES,), datum, camera.VIEW)
 
 
 def _valued(problem: CameraProblem, blocks: Mapping[str, Block]) -> CameraProblem:

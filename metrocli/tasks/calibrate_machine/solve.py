@@ -74,7 +74,7 @@ def solve(problem: MachineProblem, remove: bool) -> AdjustedMachine:
     adjustment does not converge.
     """
     identified = identify(problem)
-    start = robust_start(identified.blocks.values(), problem.groups, problem.readings.name)
+    start = robust_start(identified.blocks.values(), problem.groups, (problem.readings.name,))
     begun = _KeptReadings(problem.with_blocks(start), identified, ())
 
     def fewer(used: _KeptReadings, solved: AdjustedMachine) -> tuple[_KeptReadings, bool]:

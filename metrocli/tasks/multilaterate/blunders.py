@@ -156,7 +156,7 @@ def _wrong(sight: _Sight, bound: float) -> list[int]:
 
 def undisturbed_start(network: TracerNetwork) -> dict[str, Block]:
     """Return the values of the blocks near the solution, undisturbed by gross errors."""
-    return robust_start(network.blocks.values(), [network.lengths, *network.others], LENGTHS, network.datum)
+    return robust_start(network.blocks.values(), [network.lengths, *network.others], (LENGTHS,), network.datum)
 
 
 def quick_start(network: TracerNetwork) -> dict[str, Block]:
@@ -190,7 +190,7 @@ def _of_some(network: TracerNetwork, chosen: Index) -> dict[str, Block]:
     if datum is not None:
         datum = replace(datum, reference=datum.reference[chosen], members=datum.members[chosen])
     groups = [lengths.with_observations(some), *network.others]
-    start = robust_start([fewer, *_others(network.blocks)], groups, LENGTHS, datum)
+    start = robust_start([fewer, *_others(network.blocks)], groups, (LENGTHS,), datum)
     values = block.values.copy()
     values[chosen] = start[t.POINT].values
     return {**start, t.POINT: block.with_values(values)}

@@ -6,6 +6,7 @@ Method: docs/algorithms/cluster-robust-covariance.md.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import cached_property
 from typing import Protocol, Self, TypeVar
 
 import numpy as np
@@ -132,16 +133,20 @@ class Structured:
             "inflation": self.inflation,
         }
 
-    def details(self, names: Sequence[str]) -> dict[str, dict[str, float]]:
-        """Return the degrees of freedom of the estimates: for all the least, because their errors are joint."""
+    @cached_property
+    def dof(self) -> float | None:
+        """The least degrees of freedom of the estimates, which all have because their errors are joint."""
         dofs = self.robust.dof(self.estimates)
-        return {name: {"dof": float(dofs.min())} for name in names} if len(dofs) else {}
+        return float(dofs.min()) if len(dofs) else None
+
+    def details(self, names: Sequence[str]) -> dict[str, dict[str, float]]:
+        """Return the degrees of freedom of the estimates."""
+        return {} if self.dof is None else {name: {"dof": self.dof} for name in names}
 
     @property
     def note(self) -> str:
         """The line of the report."""
-        dofs = self.robust.dof(self.estimates)
-        dof = f", with {dofs.min():.1f} degrees of freedom" if len(dofs) else ""
+        dof = "" if self.dof is None else f", with {self.dof:.1f} degrees of freedom"
         return (
             f"noise: structured: readings taken together may share errors. The covariance is cluster-robust over "
             f"{self.robust.clusters} {self.over}; standard uncertainties are {self.inflation:.2f} times "

@@ -55,6 +55,10 @@ CASES: dict[str, tuple[int, str, dict[str, str], str, str]] = {
         "", "",
     ),
     "angles alone": (4, "seen by angles of one station only: E", {"readings": POLAR + FOUR + "S1,E,1,2,\n"}, "", ""),
+    "point of a bar": (
+        4, "points have no place: X",
+        {"readings": POLAR + FOUR, "bars": "bar,from,to,length_mm,sigma_mm\nB,A,X,5,0.1\n"}, "", ", bars: bars.csv",
+    ),
     "few lengths": (
         4, "I1 reads 2 points; an interferometer needs 5",
         {

@@ -18,6 +18,7 @@ MAKES: dict[str, dict[str, Any]] = {
     "trackers": {"faces": 2},
     "one on its side": {"rolled": True},
     "levelled": {"levelled": True},
+    "one station": {"stations": 1, "faces": 2},
     "mixed": {"mixed": True},
 }
 

@@ -90,3 +90,14 @@ def test_a_mistake_is_found_and_its_correction_fits(
     ran = metrocli("diagnose", job, "--json")
     found = json.loads(ran.out)
     assert (found["verdict"], found["mistake"]["what"]) == ("mistaken", words)
+
+
+def test_exchanged_points_are_found_beside_one_that_moved(tmp_path: Path, metrocli: Metrocli) -> None:
+    """A point that moved calls for a robust start: the steps of a try last for it and for the adjustment."""
+    net = network(np.random.default_rng(57), 4, 20, faces=2)
+    point, moved = net.point.copy(), (net.station > 1) & (net.point == 16)
+    here = net.station == 2
+    point[here & (net.point == 3)], point[here & (net.point == 9)] = 9, 3
+    change = np.where(moved[:, None], [5e-5, 0.0, 0.15], 0.0)
+    ran = metrocli("adjust-network", replace(net, point=point).with_effect(change).write(tmp_path))
+    assert ran.code == 3 and "P004 and P010 are exchanged at station S3" in ran.err, ran.err

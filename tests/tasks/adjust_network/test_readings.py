@@ -199,3 +199,20 @@ def test_simulated_readings_give_their_truth_and_a_plan_its_uncertainty(tmp_path
     assert metrocli("plan", job, "--out", tmp_path / "plan").code == 0
     planned = np.loadtxt(tmp_path / "plan" / "points.csv", delimiter=",", skiprows=1, usecols=(4, 5, 6))
     assert np.abs(planned / spread - 1).max() < 0.02
+
+
+def test_a_known_orientation_turns_the_network(tmp_path: Path, metrocli: Metrocli) -> None:
+    net = replace(network(np.random.default_rng(43), faces=2, levelled=True), listed=False)
+    job = net.write(tmp_path)
+    free = solved(job, metrocli)
+    path = tmp_path / "stations.csv"
+    head, *rows = path.read_text().splitlines()
+    own = net.rotations[2]
+    gamma = np.degrees(np.arctan2(own[1, 0], own[0, 0]))
+    lines = [f"{row},{gamma if number == 2 else ''}" for number, row in enumerate(rows)]
+    path.write_text("\n".join([f"{head},gamma_deg", *lines]) + "\n")
+    turned = solved(job, metrocli)
+    assert turned.statistics["dof"] == free.statistics["dof"]
+    assert turned.statistics["chi2"] == pytest.approx(free.statistics["chi2"], rel=1e-6)
+    away = places(turned, net.names) - net.points
+    assert np.abs(away - away.mean(axis=0)).max() < 0.2

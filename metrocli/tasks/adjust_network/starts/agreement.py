@@ -13,7 +13,7 @@ from metrocli.instruments.tracker import cartesian
 from metrocli.tasks.adjust_network.readings import NetworkReadings
 from metrocli.words import listed
 
-_CONTRADICTORY = 0.03
+CONTRADICTORY = 0.03
 """Share of the extent of a network, by which set-ups of readings that are understood rightly do not disagree"""
 
 
@@ -40,6 +40,24 @@ def placed(readings: NetworkReadings, rough: NetworkStart) -> tuple[Index, Array
     places = poses.apply(pose, local)
     places[:, 2] -= seen.height[rows] + np.nan_to_num(readings.setups[1][seen.setup[rows]])
     return rows, places
+
+
+def known_turns(readings: NetworkReadings) -> Array:
+    """Return the azimuth of the x axis of each round, (rounds,), where it is listed; nan for others.
+
+    A round has it too if it shares a direction with a listed one over the same point.
+    """
+    seen, stations = readings.sightings, readings.stations
+    of = np.array([station for station, _ in seen.rounds], dtype=np.intp)
+    turns, over = stations.gamma[of], stations.over[seen.station]
+    key = over * readings.points.count + seen.point
+    bearing = turns[seen.orientation] + seen.values[0]
+    known = np.isfinite(bearing) & (over >= 0)
+    keys, first = np.unique(key[known], return_index=True)
+    shared = np.isnan(turns[seen.orientation]) & np.isfinite(seen.values[0]) & np.isin(key, keys)
+    at = np.searchsorted(keys, key[shared])
+    turns[seen.orientation[shared]] = bearing[known][first[at]] - seen.values[0, shared]
+    return turns
 
 
 def medians(places: Array, point: Index, count: int) -> Array:
@@ -92,7 +110,7 @@ def _extent(places: Array) -> float:
 def must_agree(readings: NetworkReadings, rough: NetworkStart) -> None:
     """Raise NotConvergedError for set-ups that contradict each other, as no noise and no effect makes them do."""
     share, words = disagreement(readings, rough)
-    if share > _CONTRADICTORY:
+    if share > CONTRADICTORY:
         raise NotConvergedError(
             f"set-ups contradict each other: they put the points that they share beside each other ({words}).\n"
             "  Look at units and senses of the angles (az counter-clockwise, hz clockwise; el from the level plane, zd "

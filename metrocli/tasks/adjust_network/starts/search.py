@@ -16,7 +16,14 @@ from metrocli.errors import UndeterminedError
 from metrocli.geometry import poses
 from metrocli.instruments.tracker import cartesian
 from metrocli.tasks.adjust_network.readings import NetworkReadings
-from metrocli.tasks.adjust_network.starts.agreement import NetworkStart, disagreement, fitted, list_offset, must_agree
+from metrocli.tasks.adjust_network.starts.agreement import (
+    NetworkStart,
+    disagreement,
+    fitted,
+    known_turns,
+    list_offset,
+    must_agree,
+)
 from metrocli.tasks.adjust_network.starts.by_lengths import placed_by_lengths
 from metrocli.words import listed
 
@@ -42,7 +49,7 @@ class _Search:
         seen = readings.sightings
         self.points = begin.copy()
         self.poses = np.full((len(readings.stations.names), 6), np.nan)
-        self.gamma = np.full(len(seen.rounds), np.nan)
+        self.gamma, self.turns = np.full(len(seen.rounds), np.nan), known_turns(readings)
         self.whole: Mask = np.asarray(~np.isnan(seen.values).any(axis=0))
         self.local = np.full((len(seen.point), 3), np.nan)
         self.local[self.whole] = cartesian(seen.values[:, self.whole])[0].T
@@ -82,7 +89,7 @@ class _Search:
                 continue
             usable = self._usable(number, rows, known)
             if self._enough(number, usable):
-                missing.append((len(usable), number))
+                missing.append((len(usable) + bool(np.isfinite(self.turns[number])), number))
         return missing
 
     def _known(self) -> Mask:
@@ -97,7 +104,7 @@ class _Search:
     def _enough(self, number: int, rows: Index) -> bool:
         station = self.readings.sightings.rounds[number][0]
         if self.levelled[station] and np.isfinite(self.poses[station, 0]):
-            return len(rows) > 0
+            return len(rows) > 0 or bool(np.isfinite(self.turns[number]))
         some = rows[:: max(len(rows) // _ENOUGH, 1)]
         chosen = self.points[np.unique(self.readings.sightings.point[some])]
         if len(chosen) < (2 if self.levelled[station] else 3):
@@ -115,7 +122,8 @@ class _Search:
         if self.levelled[station] and np.isfinite(self.poses[station, 0]):
             away = self.points[seen.point[rows]] - self.poses[station, :3]
             turns = np.arctan2(away[:, 1], away[:, 0]) - seen.values[0, rows]
-            self.gamma[number] = np.angle(np.exp(1j * turns).sum())
+            known_turn = self.turns[number]
+            self.gamma[number] = np.angle(np.exp(1j * turns).sum()) if np.isnan(known_turn) else known_turn
         else:
             pose = fitted(self.local[rows], self.points[seen.point[rows]], bool(self.levelled[station]))
             self._set(number, station, pose)
@@ -156,7 +164,8 @@ class _Search:
 
     def begin_with(self, number: int) -> None:
         """Place a set-up at the origin."""
-        self._set(number, self.readings.sightings.rounds[number][0], np.zeros(6))
+        turn = np.array([0.0, 0.0, 0.0, 0.0, 0.0, np.nan_to_num(self.turns[number])])
+        self._set(number, self.readings.sightings.rounds[number][0], turn)
         self._see(number)
 
     def intersect(self) -> None:
@@ -213,7 +222,8 @@ def _alone(readings: NetworkReadings, levelled: Mask) -> _Search:
     search = _Search(readings, np.full_like(readings.points.listed, np.nan), levelled)
     shots = [int(search.whole[rows].sum()) for rows in search.rows]
     level = [bool(levelled[station]) for station, _ in readings.sightings.rounds]
-    begin = max(range(len(shots)), key=lambda i: (level[i] and shots[i] > 0, shots[i]))
+    turned = [bool(np.isfinite(readings.stations.gamma[station])) for station, _ in readings.sightings.rounds]
+    begin = max(range(len(shots)), key=lambda i: (shots[i] > 0 and turned[i], shots[i] > 0 and level[i], shots[i]))
     search.begin_with(begin)
     search.run()
     if not any(level):
@@ -271,10 +281,9 @@ def _must_be_joined(search: _Search) -> None:
         raise UndeterminedError("set-ups cannot be joined to the network:\n" + "\n".join(lines))
     open_points = np.unique(seen.point[np.isnan(search.points[seen.point]).any(axis=1)])
     if open_points.size:
-        names = [readings.points.names[i] for i in open_points]
+        names = listed([readings.points.names[i] for i in open_points])
         raise UndeterminedError(
-            f"points are seen by angles of one station only: {listed(names)}.\n"
-            "  A distance, or the angles of a second station, determines them"
+            f"points are seen by angles of one station only: {names}.\n  A distance, or the angles of a second station, determines them"
         )
 
 
@@ -287,6 +296,5 @@ def _reason(search: _Search, station: int) -> str:
     if len(shared) >= need:
         return f"the {len(shared)} points that it shares with the rest lie on a line; a point beside the line closes it"
     word = "two points" if need == 2 else "three points that are not on a line"
-    names = [search.readings.points.names[i] for i in shared]
-    what = f"shares {listed(names)} with the rest" if names else "shares no point with the rest"
-    return f"it {what}; it needs {word} with azimuth, elevation and distance"
+    names = listed([search.readings.points.names[i] for i in shared]) or "no point"
+    return f"it shares {names} with the rest; it needs {word} with azimuth, elevation and distance"

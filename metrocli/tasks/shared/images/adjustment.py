@@ -140,7 +140,7 @@ def adjust_images(
     """
     state: Mapping[str, Block] = blocks
     if not options.started:
-        state = robust_start(blocks.values(), [group, *others], group.name, datum, "view")
+        state = robust_start(blocks.values(), [group, *others], (group.name,), datum, "view")
     far = gross(group, state) if options.remove_outliers else np.zeros(group.observations.count)
     begun = _KeptImagePoints(
         Used(far), group.selected(np.flatnonzero(far == 0)), state, _ROUGH if options.remove_outliers else _EXACT

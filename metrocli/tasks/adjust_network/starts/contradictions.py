@@ -1,0 +1,77 @@
+"""Lengths, bars, height differences and given points that contradict the joined set-ups, as no effect does.
+
+They are found before they can spoil an adjustment: by a wrong unit, sign or name they are off by a part of the network.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Block
+from metrocli.adjust.model.groups import Group
+from metrocli.arrays import Array, Index
+from metrocli.errors import NotConvergedError
+from metrocli.tasks.adjust_network.groups import BARS, GIVEN_POINTS, HEIGHTS, LENGTHS, is_sighting
+from metrocli.tasks.adjust_network.problem import Network
+from metrocli.tasks.adjust_network.starts.agreement import CONTRADICTORY
+from metrocli.words import listed
+
+_WORDS = {LENGTHS: "lengths of interferometers", BARS: "bars", HEIGHTS: "height differences"}
+_ONE = {LENGTHS: "length", BARS: "bar", HEIGHTS: "height difference"}
+_FEW = 2
+"""Fewest readings of a group that can be wrong as a whole"""
+_NAMED = 5
+
+
+def must_agree_with_setups(network: Network) -> None:
+    """Raise NotConvergedError for groups of which most contradict the set-ups; a network without set-ups has none."""
+    for group in _others(network):
+        off = np.sort(_off(group, network.blocks))
+        most = off[(off.size - 1) // 2]
+        if off.size >= _FEW and most > _limit(network):
+            what = next((words for name, words in _WORDS.items() if name == group.name), "given points")
+            raise NotConvergedError(
+                f"{what} contradict the set-ups: most of them are off by {most:.3g} mm or more.\n"
+                "  Look at their units, signs and axes, and at the names of their points"
+            )
+
+
+def contradicting(network: Network, blocks: Mapping[str, Block]) -> dict[str, Index]:
+    """Return the lengths, bars and height differences that contradict the set-ups, by group."""
+    groups = (group for group in _others(network) if group.name in _WORDS)
+    rows = {group.name: np.flatnonzero(_off(group, blocks) > _limit(network)) for group in groups}
+    return {name: found for name, found in rows.items() if found.size}
+
+
+def refusal(network: Network, rows: Mapping[str, Index]) -> NotConvergedError:
+    """Return the error that names readings which contradict the set-ups."""
+    texts = []
+    for name, found in rows.items():
+        group = network.model.group(name)
+        off, keys = _off(group, network.blocks), group.observations.keys
+        texts += [f"{_ONE[name]} {'/'.join(text[i] for text in keys.values())} by {off[i]:.3g} mm" for i in found]
+    return NotConvergedError(
+        f"readings contradict the set-ups: {listed(texts[:_NAMED])}.\n"
+        "  Look at their values, signs and names; `outliers: remove` leaves them out"
+    )
+
+
+def _others(network: Network) -> list[Group]:
+    """Return the groups beside those of sightings, if there are sightings."""
+    groups = [network.model.group(name) for name in network.model.measured]
+    several = len(np.unique(network.readings.sightings.station)) > 1
+    given = [group for group in groups if group.name.startswith(GIVEN_POINTS)]
+    own = [*given, *(group for group in groups if group.name in _WORDS)]
+    return own if several and any(is_sighting(group) for group in groups) else []
+
+
+def _off(group: Group, blocks: Mapping[str, Block]) -> Array:
+    """Return how far each reading is off [mm], (n,)."""
+    return np.asarray(np.abs(group.residuals(blocks)).max(axis=0))
+
+
+def _limit(network: Network) -> float:
+    places = network.start.points[np.isfinite(network.start.points).all(axis=1)]
+    return CONTRADICTORY * float(np.ptp(places, axis=0).max(initial=0.0))

@@ -1,0 +1,55 @@
+"""Wrong readings of a network: those whose residuals are beyond chance, and those that contradict its set-ups."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+
+from metrocli.adjust.robust import FitQuality, suspects
+from metrocli.adjust.solution import Residuals, Solution
+from metrocli.arrays import Index
+from metrocli.frozen import dataclass
+from metrocli.tasks.adjust_network.groups import GIVEN_POINTS
+from metrocli.tasks.adjust_network.problem import Network
+
+
+@dataclass(frozen=True)
+class SuspectedReading:
+    """A reading whose residual is too large to be due to chance."""
+
+    group: str
+    row: int
+    """Among the readings of the group that were in use"""
+    test: float
+    keys: Mapping[str, str]
+
+
+def suspected(of_groups: Mapping[str, Residuals], solution: Solution) -> Iterator[SuspectedReading]:
+    """Yield the wrong readings, the worst first; all groups are tested together."""
+    of_groups = {name: residuals for name, residuals in of_groups.items() if not name.startswith(GIVEN_POINTS)}
+    names = [name for name, residuals in of_groups.items() for _ in range(residuals.values.shape[1])]
+    rows = np.concatenate([np.arange(residuals.values.shape[1]) for residuals in of_groups.values()])
+    parts = (
+        [getattr(residuals, key) for residuals in of_groups.values()]
+        for key in ("values", "sigma", "redundancy", "normalised")
+    )
+    tested = suspects(
+        Residuals(*(np.concatenate(part, axis=1) for part in parts)), FitQuality(solution.cost, solution.dof, True)
+    )
+    groups = {group.name: group.observations.keys for group in solution.groups}
+    for i in np.argsort(-tested.tests, kind="stable").tolist():
+        name, row = names[int(tested.rows[i])], int(rows[tested.rows[i]])
+        yield SuspectedReading(
+            name, row, float(tested.tests[i]), {key: texts[row] for key, texts in groups[name].items()}
+        )
+
+
+def contradictions(network: Network, wrong: Mapping[str, Index]) -> Iterator[SuspectedReading]:
+    """Yield readings that contradict the set-ups."""
+    for name, rows in wrong.items():
+        group = network.model.group(name)
+        tests = np.abs(group.observations.whitened(group.residuals(network.blocks))).max(axis=0)
+        for row in rows.tolist():
+            keys = {key: texts[row] for key, texts in group.observations.keys.items()}
+            yield SuspectedReading(name, row, float(tests[row]), keys)
