@@ -283,7 +283,7 @@ def _must_be_joined(search: _Search) -> None:
     if open_points.size:
         names = listed([readings.points.names[i] for i in open_points])
         raise UndeterminedError(
-            f"points are seen by angles of one station only: {names}.\n  A distance, or angles of a second one, place them"
+            f"points are seen by angles of one station only: {names}.\n  A distance, or angles of another, place them"
         )
 
 
