@@ -1,4 +1,4 @@
-"""Values that a calibration holds against its readings: the principal point, lens values, and the unit of the targets.
+"""Why a calibrated camera must not be used: what it holds against its readings, and what does not describe them.
 
 A noise that follows the residuals shows none of them, and poses take up most of a wrong one. So the readings are
 adjusted once more with these values free.
@@ -6,17 +6,23 @@ adjusted once more with these values free.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from metrocli import units
 from metrocli.adjust.adjustment import adjust
-from metrocli.arrays import Array, Mask
+from metrocli.arrays import Array, Index, Mask
 from metrocli.frozen import dataclass
 from metrocli.instruments import camera
 from metrocli.instruments.camera import TARGET
+from metrocli.tasks.calibrate_camera.advice import not_found
+from metrocli.tasks.calibrate_camera.other_lenses import fisheye_instead
 from metrocli.tasks.calibrate_camera.problem import CameraProblem
 from metrocli.tasks.calibrate_camera.settings import CameraSettings
+from metrocli.tasks.calibrate_camera.turned_images import turned_images
 from metrocli.tasks.shared.images.adjustment import AdjustedImages
+from metrocli.tasks.shared.images.tables import root_mean_square
 
 _AXES = ("cx", "cy")
 _FAR = 0.1
@@ -156,19 +162,20 @@ _MISFIT = 5.0
 """Residuals so many times as large as the scatter of neighbouring points are no noise"""
 
 
-def unmodelled(problem: CameraProblem, adjusted: AdjustedImages) -> list[str]:
+def unmodelled(adjusted: AdjustedImages, image: Index, size: tuple[int, int]) -> list[str]:
     """Return why a camera must not be used whose residuals are smooth in each image, and many times their scatter.
 
     The scatter is what a polynomial in u and v leaves of the residuals of an image, the median of all images. A
-    noise that follows the residuals takes such a misfit for noise of the points (decision 171).
+    noise that follows the residuals takes such a misfit for noise of the points (decision 171). `image` is the image of
+    each reading, `size` that of images [px].
     """
     if adjusted.noise is None or adjusted.structured is not None:
         return []
     observations, residuals = adjusted.group.observations, adjusted.known_residuals().values
-    view, (w, h) = observations.index[camera.VIEW], problem.image_size
+    w, h = size
     scatters, whole, used = list[float](), 0.0, 0
-    for i in np.flatnonzero(np.bincount(view) >= _FEW).tolist():
-        mine = view == i
+    for i in np.flatnonzero(np.bincount(image) >= _FEW).tolist():
+        mine = image == i
         x, y = observations.readings[0, mine] / w - 0.5, observations.readings[1, mine] / h - 0.5
         # at least twice as many points as coefficients, or the polynomial would take the noise, too
         degree = next(d for d in range(_SMOOTH, 0, -1) if (d + 1) * (d + 2) <= mine.sum())
@@ -188,3 +195,33 @@ def unmodelled(problem: CameraProblem, adjusted: AdjustedImages) -> list[str]:
         f"{scatter:.2g} px: the lens model, or the list of targets, does not describe these images. The stated "
         "uncertainties do not hold. --compare shows which lens model fits best, `metrocli diagnose` what else is wrong"
     ]
+
+
+_POOR = 2.0
+"""sigma0 above which another lens model is tried"""
+
+
+def why_not(
+    problem: CameraProblem,
+    settings: CameraSettings,
+    adjusted: AdjustedImages,
+    centre: PrincipalPoint | None,
+    folded: Sequence[str] = (),
+) -> list[str]:
+    """Return why a camera must not be used; `folded` says that its lens model folds over among the readings.
+
+    It holds its principal point or other values against the readings. Or its targets are nearer than its focal length,
+    or the lens model maps two directions to one pixel among the readings, or some image points were not found, or it
+    does not describe the images.
+    """
+    residuals = adjusted.group.residuals(adjusted.solution.blocks)
+    lost = not_found(problem, adjusted.group, residuals)
+    image = adjusted.group.observations.index[camera.VIEW]
+    smooth = [] if lost else unmodelled(adjusted, image, problem.image_size)
+    poor = lost or smooth or folded or adjusted.solution.sigma0 > _POOR
+    if poor and (other := fisheye_instead(problem, settings, root_mean_square(residuals))):
+        return other
+    near = too_near(problem, adjusted, settings.pixel_size)
+    held = held_doubts(problem, settings, adjusted)
+    turned = [] if lost or smooth else turned_images(problem, adjusted)
+    return [*turned, *lost, *smooth, *(centre.doubts() if centre is not None else []), *held, *near, *folded]

@@ -93,7 +93,7 @@ def fisheye_instead(problem: CameraProblem, settings: CameraSettings, rms: float
         return []
     return [
         f"the lens is a fisheye: that model leaves residuals of {left:.2g} px (rms), this one {rms:.2g} px; "
-        "write camera: {model: fisheye}"
+        "write model: fisheye"
     ]
 
 

@@ -18,12 +18,11 @@ from metrocli.tasks.calibrate_camera import KIND
 from metrocli.tasks.calibrate_camera.advice import (
     correlation_warnings,
     folds,
-    not_found,
     seen_from_behind,
     turned_too_little,
 )
 from metrocli.tasks.calibrate_camera.diagnosis import uncontrolled
-from metrocli.tasks.calibrate_camera.doubts import PrincipalPoint, held_doubts, principal_point, too_near, unmodelled
+from metrocli.tasks.calibrate_camera.doubts import PrincipalPoint, principal_point, why_not
 from metrocli.tasks.calibrate_camera.length_errors import LengthErrors, length_errors
 from metrocli.tasks.calibrate_camera.lens_conventions import (
     conventions_table,
@@ -31,7 +30,6 @@ from metrocli.tasks.calibrate_camera.lens_conventions import (
     form_covariance,
     photogrammetric_form,
 )
-from metrocli.tasks.calibrate_camera.other_lenses import fisheye_instead
 from metrocli.tasks.calibrate_camera.problem import CameraProblem
 from metrocli.tasks.calibrate_camera.projection_error import (
     angle_warnings,
@@ -42,7 +40,6 @@ from metrocli.tasks.calibrate_camera.projection_error import (
 )
 from metrocli.tasks.calibrate_camera.settings import CameraSettings, Settings
 from metrocli.tasks.calibrate_camera.shape.found import shape_arrays, shape_notes, shape_rms, shape_table
-from metrocli.tasks.calibrate_camera.turned_images import turned_images
 from metrocli.tasks.shared.images.adjustment import AdjustedImages
 from metrocli.tasks.shared.images.camera_parameters import Parameters, parameters, pose_columns, unit_of
 from metrocli.tasks.shared.images.seen_points import depths, points_of, with_places
@@ -51,13 +48,9 @@ from metrocli.tasks.shared.images.tables import (
     image_statistics,
     image_tables,
     image_warnings,
-    root_mean_square,
 )
 from metrocli.tasks.shared.statistics import Statistics, chi_interval, noise_notes, noise_warnings
 from metrocli.tasks.shared.uncontrolled import TABLE, in_words
-
-_POOR = 2.0
-"""sigma0 above which another lens model is tried"""
 
 
 @dataclass(frozen=True)
@@ -107,7 +100,9 @@ def report(problem: CameraProblem, job: Settings, adjusted: AdjustedImages, test
         tables=tables,
         arrays=arrays,
         warnings=(*_warnings(solved, tables.get("views")), *coverage_warnings(statistics)),
-        doubts=tuple(_doubts(solved)),
+        doubts=tuple(
+            why_not(problem, settings, adjusted, centre, [text for text, among in folds(problem, adjusted) if among])
+        ),
         shown=(ShownTable("views", ("image", "readings", "rms", "largest", "largest_target")),)
         if problem.rig == "board"
         else (),
@@ -221,24 +216,3 @@ def _warnings(solved: _Calibration, views: Table | None) -> list[str]:
     lines += noise_warnings(solved.solution) if adjusted.noise is None else []
     lines += solved.centre.warnings() if solved.centre is not None else []
     return lines + [text for text, among in folds(solved.problem, adjusted) if not among]
-
-
-def _doubts(solved: _Calibration) -> list[str]:
-    """Return why the camera must not be used.
-
-    It holds its principal point or other values against the readings. Or its targets are nearer than its focal length,
-    or the lens model maps two directions to one pixel among the readings, or some image points were not found, or it
-    does not describe the images.
-    """
-    problem, residuals = solved.problem, solved.adjusted.group.residuals(solved.solution.blocks)
-    folded = [text for text, among in folds(problem, solved.adjusted) if among]
-    lost = not_found(problem, solved.adjusted.group, residuals)
-    smooth = [] if lost else unmodelled(problem, solved.adjusted)
-    poor = lost or smooth or folded or solved.solution.sigma0 > _POOR
-    if poor and (other := fisheye_instead(problem, solved.settings, root_mean_square(residuals))):
-        return other
-    centre = solved.centre.doubts() if solved.centre is not None else []
-    near = too_near(problem, solved.adjusted, solved.settings.pixel_size)
-    held = held_doubts(problem, solved.settings, solved.adjusted)
-    turned = [] if lost or smooth else turned_images(problem, solved.adjusted)
-    return [*turned, *lost, *smooth, *centre, *held, *near, *folded]

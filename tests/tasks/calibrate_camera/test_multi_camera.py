@@ -281,3 +281,30 @@ def test_a_truth_that_is_not_that_of_the_cameras_is_refused(
     path.write_text(SIMULATED.replace(old, new))
     ran = metrocli("simulate", path, "--out", tmp_path / "new")
     assert ran.code == 3 and words in ran.err, ran.err
+
+
+@pytest.mark.parametrize(
+    ("lens", "told"),
+    [(", cx: 460 px, estimate: [f, cy, k1, k2]", "right: the principal point is held at"), ("", "")],
+)
+def test_a_camera_that_contradicts_its_own_readings_is_doubtful(
+    lens: str, told: str, tmp_path: Path, metrocli: Metrocli
+) -> None:
+    path = job(tmp_path, seen(), ("", lens))
+    path.write_text(path.read_text().replace("noise: 0.1 px", "noise: estimated"))
+    ran = metrocli("calibrate-camera", path)
+    assert (ran.code, told in ran.out, "DOUBTFUL" in ran.out) == (6 if told else 0, True, bool(told)), ran.out
+
+
+def test_pinholes_that_are_fisheyes_are_named(tmp_path: Path, metrocli: Metrocli) -> None:
+    rng, images = np.random.default_rng(3), Seen()
+    for shot in range(9):
+        turn = Rotation.from_euler("zxy", [rng.uniform(-2, 2), *rng.uniform(-0.5, 0.5, 2)])
+        points = turn.apply(BOARD - BOARD.mean(axis=0)) + [*rng.uniform(-60, 60, 2), rng.uniform(90, 150)]
+        for name, own in (("left", points), ("right", points - [30.0, 0, 0])):
+            angle = np.arctan2(np.hypot(own[:, 0], own[:, 1]), own[:, 2])
+            along = own[:, :2] / np.hypot(own[:, 0], own[:, 1])[:, None]
+            uv = [640.0, 480.0] + 400 * (angle * (1 + 0.02 * angle**2))[:, None] * along
+            images[f"{name}{shot}.png"] = uv + rng.normal(0, 0.1, uv.shape)
+    ran = metrocli("calibrate-camera", job(tmp_path, images))
+    assert ran.code == 6 and "left: the lens is a fisheye" in ran.out, ran.out

@@ -20,6 +20,7 @@ from metrocli.table import Table
 from metrocli.tasks.calibrate_camera import KIND
 from metrocli.tasks.calibrate_camera.advice import correlation_warnings, unfolded
 from metrocli.tasks.calibrate_camera.length_errors import length_errors
+from metrocli.tasks.calibrate_camera.multi_camera.alone import doubts
 from metrocli.tasks.calibrate_camera.multi_camera.system import CameraSystem
 from metrocli.tasks.calibrate_camera.multi_camera.views import views_of
 from metrocli.tasks.calibrate_camera.projection_error import CameraOfSeveral, projection_of_member
@@ -94,7 +95,7 @@ def report(system: CameraSystem, adjusted: AdjustedImages, job: Job[Settings, Fi
         tables=tables,
         arrays={"correlation": p.correlation, **arrays},
         warnings=(*warnings, *(noise_warnings(solution) if known else ())),
-        doubts=tuple(_folds(system, adjusted)),
+        doubts=tuple(doubts(system, job.settings, adjusted, dict(_folds(system, adjusted)))),
         shown=(ShownTable(CAMERAS, ("camera", "x", "y", "z", "alpha", "beta", "gamma")),),
         notes=(
             *(tested.notes if tested is not None else ()),
@@ -214,8 +215,8 @@ def _baselines(solution: Solution) -> Iterator[str]:
         yield f"{name} is {units.format_quantity(far, 'mm', std)} from {mount.members[0]}, turned by {turn:.3g} degrees"
 
 
-def _folds(system: CameraSystem, adjusted: AdjustedImages) -> Iterator[str]:
-    """Yield the cameras whose lens model folds over where they have readings."""
+def _folds(system: CameraSystem, adjusted: AdjustedImages) -> Iterator[tuple[str, str]]:
+    """Yield the cameras whose lens model folds over where they have readings, with where."""
     observations, lens = adjusted.group.observations, adjusted.solution.blocks[camera.LENS]
     for number, name in enumerate(lens.members):
         values = lens.named(name)
@@ -225,6 +226,7 @@ def _folds(system: CameraSystem, adjusted: AdjustedImages) -> Iterator[str]:
         u, v = observations.readings[:, observations.index[camera.LENS] == number]
         if fold is not None and np.hypot(u - values["cx"], v - values["cy"]).max(initial=0.0) >= fold:
             yield (
-                f"the lens model of {name} folds over at {fold:.0f} px from the principal point, among its readings; "
-                f"{unfolded(lens, number)}"
+                name,
+                f"the lens model folds over at {fold:.0f} px from the principal point, among the readings; "
+                f"{unfolded(lens, number)}",
             )

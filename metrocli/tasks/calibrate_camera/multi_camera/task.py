@@ -13,6 +13,7 @@ from metrocli.imageset import ImageSet
 from metrocli.result import Result
 from metrocli.tasks.calibrate_camera.advice import in_words
 from metrocli.tasks.calibrate_camera.length_errors import must_not_be_used
+from metrocli.tasks.calibrate_camera.multi_camera.alone import fisheyes
 from metrocli.tasks.calibrate_camera.multi_camera.diagnosis import adjusted_job
 from metrocli.tasks.calibrate_camera.multi_camera.report import delivered, report
 from metrocli.tasks.calibrate_camera.multi_camera.system import CameraSystem, system_of
@@ -88,5 +89,5 @@ def _solved(settings: Settings, system: CameraSystem) -> AdjustedImages:
             "and far, or fewer parameters in `estimate`"
         )
         raise UndeterminedError("\n".join(lines), solution.misfit)
-    must_converge(solution)
+    must_converge(solution, () if solution.outcome.good else fisheyes(system, settings, solution))
     return adjusted
