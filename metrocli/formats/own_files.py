@@ -29,9 +29,9 @@ def inside(folder: Path, name: str) -> Path:
 
 
 def refuse_inputs(paths: Iterable[Path], inputs: Iterable[Path]) -> None:
-    """Raise InputError for files to be written that are inputs: no option allows to replace these."""
+    """Raise InputError for files to be written that are inputs and exist: no option allows to replace these."""
     read = {os.path.realpath(path) for path in inputs}
-    if used := [path for path in paths if os.path.realpath(path) in read]:
+    if used := [path for path in paths if path.exists() and os.path.realpath(path) in read]:
         hint = "choose another name or folder: an input is never replaced"
         raise InputError(
             [Fault("would overwrite this file, which the job reads", str(path), hint=hint) for path in used]

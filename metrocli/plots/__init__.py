@@ -78,7 +78,7 @@ FIGURES: dict[str, FigureEntry] = {
 """All figures, in the order in which a page shows them"""
 _NEEDS = {
     "before-after": "the result of the job without the extension, with the same readings (--before)",
-    "lens-difference": "another result of calibrate-camera (--before)",
+    "lens-difference": "another result of calibrate-camera with a camera of this name and image size (--before)",
     "law": "a diagnosis of this job that found a law (--diagnosis)",
     "held-out": "a diagnosis of this job that found something (--diagnosis)",
     "lineage": "a record of files that it was made from",

@@ -74,12 +74,13 @@ def data(result: Result, about: str) -> Against | None:
 
 
 def _radial(result: Result) -> list[Panel]:
-    residuals = image_residuals(result)
-    if residuals is None:
+    each = image_residuals(result)
+    if not each:
         return []
-    radius, along, across = radial(residuals, result)
+    radius, along, across = (np.concatenate(parts) for parts in zip(*map(radial, each), strict=True))
+    names = [(residuals, k) for residuals in each for k in range(len(residuals.rows))]
     sides = (("along the radius", along), ("across the radius", across))
-    return _panels([(name, radius, w, residuals.name) for name, w in sides])
+    return _panels([(side, radius, w, lambda k: names[k][0].name(names[k][1])) for side, w in sides])
 
 
 def _others(result: Result, about: str) -> list[Panel]:

@@ -11,6 +11,8 @@ from metrocli.arrays import Array, Index, Mask
 from metrocli.frozen import dataclass
 from metrocli.result import Result
 from metrocli.table import Table
+from metrocli.tasks.shared.images.calibrated import CAMERAS, stated_cameras
+from metrocli.tasks.shared.images.exposures import exposures
 
 _TABLES = ("residuals", "angles", "distances", "lengths")
 """Tables of residuals: by the kind of its readings for a launch unit, and of calibrated lengths for a ball grid"""
@@ -128,6 +130,10 @@ class ImageResiduals:
     """Width and height of the image, px; those of the part with readings if the result has no image size"""
     whole: bool
     """Whether the size is that of the image"""
+    centre: tuple[float, float]
+    """Principal point, or the middle of the image"""
+    camera: str = ""
+    """Of several cameras"""
 
     def name(self, k: int) -> str:
         """Return the image and target of a reading."""
@@ -135,38 +141,49 @@ class ImageResiduals:
         return "/".join(str(self.table.columns[key][row]) for key in ("image", "target") if key in self.table)
 
 
-def image_residuals(result: Result) -> ImageResiduals | None:
-    """Return the residual vectors of a result of images, or None."""
+def image_residuals(result: Result) -> list[ImageResiduals]:
+    """Return the residual vectors of a result of images, for each of several cameras; empty if it has none."""
     table = result.tables.get("residuals")
     if table is None or not len(table) or "component" not in table or table.units.get("residual") != "px":
-        return None
+        return []
     component = table.columns["component"].astype(str)
     u, v = np.flatnonzero(component == "u"), np.flatnonzero(component == "v")
     if len(u) != len(v) or not len(u):
-        return None
+        return []
     both = [np.stack([table.numbers(name)[u], table.numbers(name)[v]], axis=1) for name in _VECTORS]
+    if CAMERAS in result.tables and "camera" in result.tables:
+        return list(_of_cameras(result, table, u, both))
     places, vectors, w = both
     given = [result.statistics.get(name) for name in ("image_width", "image_height")]
     size = [float(entry) for entry in given if isinstance(entry, int | float)]
     whole = len(size) == len(given)
     width, height = size if whole else (places.max(axis=0) * _MARGIN).tolist()
-    return ImageResiduals(table, u, places, vectors, w, (width, height), whole)
+    known = {estimate.name: estimate.value for estimate in result.estimates}
+    centre = known.get("cx", (width - 1) / 2), known.get("cy", (height - 1) / 2)
+    return [ImageResiduals(table, u, places, vectors, w, (width, height), whole, centre)]
+
+
+def _of_cameras(result: Result, table: Table, rows: Index, values: list[Array]) -> Iterator[ImageResiduals]:
+    cameras = stated_cameras(result)
+    names, image = np.unique(table.columns["image"][rows].astype(str), return_inverse=True)
+    camera = exposures({one.name: one.images for one in cameras}, names.tolist()).camera[image]
+    for number, one in enumerate(cameras):
+        own = camera == number
+        places, vectors, w = (part[own] for part in values)
+        centre, size = (one.lens["cx"], one.lens["cy"]), (float(one.size[0]), float(one.size[1]))
+        yield ImageResiduals(table, rows[own], places, vectors, w, size, True, centre, one.name)
 
 
 _VECTORS = ("reading", "residual", "normalised")
 _MARGIN = 1.05
 
 
-def radial(residuals: ImageResiduals, result: Result) -> tuple[Array, Array, Array]:
+def radial(residuals: ImageResiduals) -> tuple[Array, Array, Array]:
     """Return radius (n,) px, and w of each reading along the radius and across it, (n,) each.
 
-    The centre is the principal point (cx, cy) if the result has it, else the centre of the image. With e the unit
-    vector from the centre, along is w·e and across is w·(-e_y, e_x).
+    With e the unit vector from the principal point, along is w·e and across is w·(-e_y, e_x).
     """
-    known = {estimate.name: estimate.value for estimate in result.estimates}
-    middle = [(size - 1) / 2 for size in residuals.size]
-    centre = np.array([known.get("cx", middle[0]), known.get("cy", middle[1])])
-    away = residuals.places - centre
+    away = residuals.places - residuals.centre
     radius = np.hypot(*away.T)
     e = np.where(radius[:, None] > 0, away / np.maximum(radius, 1e-300)[:, None], [1.0, 0.0])
     return radius, (residuals.w * e).sum(axis=1), residuals.w[:, 1] * e[:, 0] - residuals.w[:, 0] * e[:, 1]

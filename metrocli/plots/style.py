@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import textwrap
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
 from io import BytesIO, StringIO
@@ -112,6 +112,13 @@ def _settings(theme: Theme, name: str) -> Any:
     }
 
 
+def images_height(sizes: Sequence[tuple[float, float]]) -> float:
+    """Return the height in inches of a figure of images of these widths and heights [px], two in a row."""
+    rows = -(-len(sizes) // 2)
+    high = max(height / width for width, height in sizes)
+    return min(5.6 / min(2, len(sizes)) * high + 0.9, 6.5) * rows
+
+
 @dataclass(frozen=True)
 class Canvas:
     """A figure to draw on, with its colours."""
@@ -123,8 +130,25 @@ class Canvas:
         """Return axes in rows and columns, row by row."""
         return list(self.figure.subplots(rows, columns, squeeze=False, **how).ravel())
 
-    def axes_and_bar(self, rows: int = 1, columns: int = 1, count: int = 1) -> tuple[list[Axes], Axes]:
-        """Return `count` axes in rows and columns with common scales, and the place of a scale of colours.
+    def images(self, names: Sequence[str]) -> list[Axes]:
+        """Return axes of images, [px], of one camera or of several, two in a row, each with its name."""
+        columns = min(2, len(names))
+        all_axes = self.axes(-(-len(names) // columns), columns)
+        for axes, name in zip(all_axes, names, strict=False):
+            axes.set_aspect("equal", anchor="NW")
+            axes.set_xlabel("u (px)")
+            axes.set_ylabel("v (px)")
+            axes.set_title(name)
+            if columns > 1:
+                axes.locator_params(nbins=4)
+        for unused in all_axes[len(names) :]:
+            unused.remove()
+        return all_axes[: len(names)]
+
+    def axes_and_bar(
+        self, rows: int = 1, columns: int = 1, count: int = 1, common: bool = True
+    ) -> tuple[list[Axes], Axes]:
+        """Return `count` axes in rows and columns, with common scales or own ones, and the place of a scale of colours.
 
         The scale is as high as the axes and stands beside them, also where equal units make them smaller than their
         room: they are then at its left.
@@ -132,7 +156,7 @@ class Canvas:
         grid = self.figure.add_gridspec(rows, columns + 1, width_ratios=[1.0] * columns + [0.035 * columns])
         axes: list[Axes] = []
         for k in range(count):
-            first = axes[0] if axes else None
+            first = axes[0] if axes and common else None
             axes.append(self.figure.add_subplot(grid[divmod(k, columns)], sharex=first, sharey=first, anchor="NW"))
         bar = self.figure.add_subplot(grid[:, -1])
         bar.set_axes_locator(partial(_beside, axes))

@@ -14,6 +14,7 @@ from plots import results
 from metrocli import plots
 from metrocli.errors import UsageError
 from metrocli.plots import scene
+from metrocli.plots.images.projection_error import ProjectionError
 from metrocli.plots.places import places_of
 from metrocli.plots.readings import residuals_of
 from metrocli.plots.style import DARK, LIGHT
@@ -67,7 +68,7 @@ def test_the_worst_reading_is_named() -> None:
     residuals[123] = [0.0, 0.9]
     found = plots.data_of("residuals", results.camera(UV, residuals)).panels[0]
     assert found.label == "i12/t3/v" and found.beyond.tolist() == [247]
-    shown = plots.data_of("residuals-image", results.camera(UV, residuals))
+    (shown,) = plots.data_of("residuals-image", results.camera(UV, residuals))
     assert shown.worst_name == "i12/t3" and shown.beyond.tolist().count(True) == 1
     assert shown.vectors[shown.worst].tolist() == [0.0, 0.9]
 
@@ -98,17 +99,17 @@ def test_instruments_and_faces_have_a_row_each() -> None:
 
 
 def test_vectors_over_the_image_fit_into_it() -> None:
-    shown = plots.data_of("residuals-image", results.camera(UV, np.full((300, 2), 0.03)))
+    (shown,) = plots.data_of("residuals-image", results.camera(UV, np.full((300, 2), 0.03)))
     assert shown.magnification == 1000.0  # 0.0424 px become 42 px, at most 640 / 14
     assert shown.readings == 300
     many = np.random.default_rng(882).random((3000, 2)) * [640, 480]
-    shown = plots.data_of("residuals-image", results.camera(many, np.full((3000, 2), 0.03)))
+    (shown,) = plots.data_of("residuals-image", results.camera(many, np.full((3000, 2), 0.03)))
     assert shown.magnification == 500.0  # of many vectors each stays in its cell: at most 640 / sqrt(500)
 
 
 def test_coverage_counts_every_reading_once() -> None:
     uv = np.array([[0.0, 0.0], [1.0, 1.0], [639.0, 479.0], [320.0, 0.0]])
-    found = plots.data_of("coverage", results.camera(uv, np.zeros((4, 2))))
+    (found,) = plots.data_of("coverage", results.camera(uv, np.zeros((4, 2))))
     assert found.counts.sum() == 4 and found.counts[0, 0] == 2 and found.counts[9, 9] == 1 and found.counts[0, 5] == 1
     assert found.filled == 0.03
 
@@ -395,3 +396,42 @@ def test_many_points_in_space_keep_the_extent_of_the_part() -> None:
     assert len(kept.at) <= 1500 and found.left_out == 20_000 - len(kept.at)
     assert np.linalg.norm(kept.vectors, axis=1).max() == columns["error_x"].max()
     assert (np.histogramdd(kept.at, bins=(4, 4, 4))[0] > 5).all()
+
+
+def test_each_of_several_cameras_has_its_own_image() -> None:
+    """Cameras with images of 640 x 480 and 320 x 480 px, principal points (300, 200) and (100, 200)."""
+    result = results.camera(UV % [320, 480], np.full((300, 2), 0.03))
+    named = np.char.add(np.where(np.arange(600) < 200, "a", "b"), result.tables["residuals"].columns["image"])
+    lens = {"camera": ["a"] * 3 + ["b"] * 3, "parameter": ["f", "cx", "cy"] * 2}
+    poses = {key: [0.0, 0.0] for key in ("x", "y", "z", "alpha", "beta", "gamma")}
+    tables = {
+        "residuals": Table({**result.tables["residuals"].columns, "image": named}, result.tables["residuals"].units),
+        "camera": Table.of({**lens, "value": np.array([500.0, 300, 200, 500, 100, 200])}),
+        "cameras": Table.of(
+            {
+                "camera": ["a", "b"],
+                "images": ["a*", "b*"],
+                "image_width": [640, 320],
+                "image_height": [480, 480],
+                **poses,
+            }
+        ),
+    }
+    several = replace(result, tables=tables, statistics={"convention": "forward"})
+    assert [(one.camera, one.counts.sum()) for one in plots.data_of("coverage", several)] == [("a", 100), ("b", 200)]
+    assert [(one.readings, one.size[0]) for one in plots.data_of("residuals-image", several)] == [
+        (100, 640),
+        (200, 320),
+    ]
+    along = plots.data_of("residuals-radius", several).panels[0].covariate
+    away = UV % [320, 480] - np.where(np.arange(300) < 100, 300, 100)[:, None] * [1, 0] - [0, 200]
+    assert along == pytest.approx(np.hypot(*away.T))
+
+
+def test_images_of_each_size_are_shown_whole() -> None:
+    def grid(wide: int, high: int) -> tuple[np.ndarray, ...]:
+        return np.linspace(0, wide, 5), np.linspace(0, high, 4), np.full((4, 5), 0.1)
+
+    shown = ProjectionError((("a", *grid(1600, 1200)), ("b", *grid(1280, 960))))
+    with plots.drawn("projection-error", shown) as (canvas, _):
+        assert [axes.get_ylim() for axes in canvas.figure.axes[:2]] == [(1200, 0), (960, 0)]

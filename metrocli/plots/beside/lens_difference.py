@@ -10,6 +10,8 @@ from metrocli.plots.style import Canvas, arrows
 from metrocli.result import Result
 from metrocli.tasks.shared.images.lens_difference import LensDifference, lens_differences
 
+_NOTHING = 1e-4
+"""Difference [px] that is as good as none: a smaller one has no visible vector"""
 _SHARE = 1 / 14
 """Length of the largest vector, as a share of the width of the image"""
 
@@ -28,7 +30,8 @@ def height(shown: Shown) -> float:
 
 def draw(canvas: Canvas, shown: Shown) -> str:
     """Draw the figure and return its caption."""
-    factor = magnification(max(one.largest[0] for one in shown), _SHARE * shown[0].size[0])
+    largest = max(_NOTHING, *(one.largest[0] for one in shown))
+    factor = magnification(largest, _SHARE * shown[0].size[0])
     for axes, one in zip(canvas.axes(len(shown)), shown, strict=True):
         axes.set_aspect("equal")
         known = np.isfinite(one.change).all(axis=0)

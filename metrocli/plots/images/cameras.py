@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from fnmatch import fnmatchcase
 
 import numpy as np
 
@@ -13,11 +12,14 @@ from metrocli.plots.plotted_points import PlottedPoints
 from metrocli.result import Result
 from metrocli.table import Table
 from metrocli.tasks.shared.images.calibrated import StatedCamera, stated_cameras
+from metrocli.tasks.shared.images.exposures import exposures
 
 _DEPTH = 0.07
 """Height of a pyramid, as a share of the extent of all cameras and targets"""
 _MOST = 300
 """Images beyond which cameras are points only"""
+_NAMED = 3
+"""Cameras up to which each has a colour and its name"""
 _ON_GRID = re.compile(r"r(\d+)c(\d+)")
 """Name of a target of a board"""
 
@@ -35,9 +37,21 @@ def cameras_of(result: Result) -> list[PlottedPoints]:
     board = _board(result.tables.get("targets")) if rig == "board" else []
     around = [each.at for each in board] + [placed[known, :3]]
     size = _DEPTH * float(np.linalg.norm(np.ptp(np.concatenate(around), axis=0)))
-    lens = stated_cameras(result) if "camera" in result.tables and len(images) <= _MOST else []
-    lines = _pyramids(placed[known], images, lens, size) if lens else None
-    return [*board, PlottedPoints("cameras", tuple(images), placed[known, :3], lines=lines)]
+    cameras = stated_cameras(result) if "camera" in result.tables else []
+    of = np.zeros(len(images), dtype=np.intp)
+    if len(cameras) > 1:
+        of = exposures({one.name: one.images for one in cameras}, images).camera
+    if not cameras or len(images) > _MOST:
+        return [*board, PlottedPoints("cameras", tuple(images), placed[known, :3])]
+    lines = _pyramids(placed[known], np.stack([_corners(one) for one in cameras])[of] * size)
+    each = [(one.name, of == k) for k, one in enumerate(cameras)] if 1 < len(cameras) <= _NAMED else []
+    return [
+        *board,
+        *(
+            PlottedPoints(name, tuple(np.array(images)[own]), placed[known, :3][own], lines=lines[own])
+            for name, own in each or [("cameras", of >= 0)]
+        ),
+    ]
 
 
 def _board(targets: Table | None) -> list[PlottedPoints]:
@@ -55,10 +69,8 @@ def _board(targets: Table | None) -> list[PlottedPoints]:
     return [PlottedPoints("board", tuple(names), at, lines=lines if row_of else None)]
 
 
-def _pyramids(placed: Array, images: list[str], cameras: list[StatedCamera], size: float) -> Array:
+def _pyramids(placed: Array, corners: Array) -> Array:
     """Return the edges of the pyramid of each image (n, 8, 2, 3): from the camera to the corners, and about them."""
-    of = [next((c for c, one in enumerate(cameras) if fnmatchcase(image, one.images or "*")), 0) for image in images]
-    corners = np.stack([_corners(one) for one in cameras])[of] * size
     at = poses.apply(placed[:, None], corners)
     start = np.broadcast_to(placed[:, None, :3], at.shape)
     return np.concatenate([np.stack([start, at], axis=2), np.stack([at, np.roll(at, -1, axis=1)], axis=2)], axis=1)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
+from matplotlib.axes import Axes
 
 from metrocli.arrays import Array
 from metrocli.frozen import dataclass
-from metrocli.plots.readings import image_residuals
-from metrocli.plots.style import SIZES, Canvas
+from metrocli.plots.readings import ImageResiduals, image_residuals
+from metrocli.plots.style import SIZES, Canvas, images_height
 from metrocli.result import Result
 
 _ACROSS = 10
@@ -22,6 +23,7 @@ class ImageCoverage:
     """(rows, columns)"""
     x_edges: Array
     y_edges: Array
+    camera: str
 
     @property
     def filled(self) -> float:
@@ -29,30 +31,40 @@ class ImageCoverage:
         return float((self.counts > 0).mean())
 
 
-def data(result: Result, about: str) -> ImageCoverage | None:
-    """Return the number of readings in ten by ten cells of the image; None if its size is not known."""
-    residuals = image_residuals(result)
-    if residuals is None or not residuals.whole:
-        return None
+def data(result: Result, about: str) -> tuple[ImageCoverage, ...] | None:
+    """Return the number of readings in ten by ten cells of the image of each camera; None if a size is not known."""
+    each = image_residuals(result)
+    return tuple(map(_counted, each)) if each and all(one.whole for one in each) else None
+
+
+def _counted(residuals: ImageResiduals) -> ImageCoverage:
     edges = [np.linspace(-0.5, size - 0.5, _ACROSS + 1) for size in residuals.size]
     counts = np.histogramdd(residuals.places, bins=edges)[0]
-    return ImageCoverage(counts.T, *edges)
+    return ImageCoverage(counts.T, edges[0], edges[1], residuals.camera)
 
 
-def height(coverage: ImageCoverage) -> float:
+def height(shown: tuple[ImageCoverage, ...]) -> float:
     """Return the height of the figure in inches."""
-    return min(4.9 * np.ptp(coverage.y_edges) / np.ptp(coverage.x_edges) + 0.8, 6.5)
+    return images_height([(float(np.ptp(one.x_edges)), float(np.ptp(one.y_edges))) for one in shown])
 
 
-def draw(canvas: Canvas, coverage: ImageCoverage) -> str:
+def draw(canvas: Canvas, shown: tuple[ImageCoverage, ...]) -> str:
     """Draw the figure and return its caption."""
-    axes = canvas.axes()[0]
+    for axes, coverage in zip(canvas.images([one.camera for one in shown]), shown, strict=True):
+        _draw(axes, coverage, canvas, 7 if len(shown) == 1 and coverage.counts.max() < 1000 else 5)
+    filled = " and ".join(f"{100 * one.filled:.0f} %" for one in shown)
+    beyond = " The lens is extrapolated where there are no readings." if min(one.filled for one in shown) < 1 else ""
+    return (
+        f"Readings in each cell, {sum(one.counts.sum() for one in shown):.0f} together; {filled} of the cells have "
+        f"at least one.{beyond}"
+    )
+
+
+def _draw(axes: Axes, coverage: ImageCoverage, canvas: Canvas, size: int) -> None:
     axes.grid(False)
-    axes.set_aspect("equal")
     shown = np.ma.masked_equal(coverage.counts, 0)
     drawn = axes.pcolormesh(coverage.x_edges, coverage.y_edges, shown, cmap=SIZES, vmin=0)
     drawn.set(edgecolor=canvas.theme.grid, linewidth=0.5)
-    size = 7 if coverage.counts.max() < 1000 else 5
     for (i, j), count in np.ndenumerate(coverage.counts):
         if count:
             x, y = coverage.x_edges[j : j + 2].mean(), coverage.y_edges[i : i + 2].mean()
@@ -60,10 +72,3 @@ def draw(canvas: Canvas, coverage: ImageCoverage) -> str:
             number = axes.text(x, y, f"{count:.0f}", ha="center", va="center", fontsize=size, color=colour)
             number.set_in_layout(False)  # it is inside the axes
     axes.invert_yaxis()
-    axes.set_xlabel("u (px)")
-    axes.set_ylabel("v (px)")
-    beyond = " The lens is extrapolated where there are no readings." if coverage.filled < 1 else ""
-    return (
-        f"Readings in each cell, {coverage.counts.sum():.0f} together; {100 * coverage.filled:.0f} % of the cells have "
-        f"at least one.{beyond}"
-    )

@@ -37,9 +37,8 @@ def _columns(shown: ProjectionError) -> int:
 
 def height(shown: ProjectionError) -> float:
     """Return the height of the figure in inches."""
-    _, u, v, _ = shown.cameras[0]
     columns = _columns(shown)
-    one = min(4.6 / columns * np.ptp(v) / np.ptp(u), 5.5) + 0.6
+    one = min(4.6 / columns * max(np.ptp(v) / np.ptp(u) for _, u, v, _ in shown.cameras), 5.5) + 0.6
     return float(one * -(-len(shown.cameras) // columns) + 0.3)
 
 
@@ -47,7 +46,7 @@ def draw(canvas: Canvas, shown: ProjectionError) -> str:
     """Draw the figure and return its caption."""
     columns = _columns(shown)
     rows = -(-len(shown.cameras) // columns)
-    panels, bar = canvas.axes_and_bar(rows, columns, len(shown.cameras))
+    panels, bar = canvas.axes_and_bar(rows, columns, len(shown.cameras), common=False)
     known = np.concatenate([std[std > 0] for *_, std in shown.cameras] or [np.ones(1)])
     low, high = (float(known.min()), float(known.max())) if known.size else (1e-3, 1.0)
     levels = np.geomspace(low, high * 1.001, 13) if high > 1.05 * low else np.array([low / 1.1, high * 1.1])
