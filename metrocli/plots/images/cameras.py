@@ -25,39 +25,58 @@ _ON_GRID = re.compile(r"r(\d+)c(\d+)")
 
 
 def cameras_of(result: Result) -> list[PlottedPoints]:
-    """Return the targets of a board and the camera of each image, in the frame of the targets."""
-    views, rig = result.tables.get("views"), result.statistics.get("rig")
-    if rig not in ("board", "network") or views is None or "alpha" not in views:
+    """Return the targets of a board or of a CMM and the camera of each image, in the frame of the targets."""
+    rig, cameras = result.statistics.get("rig"), stated_cameras(result) if "camera" in result.tables else []
+    images, placed = _standing(result, cameras) if rig == "cmm" else _of_views(result)
+    if not images:
         return []
-    listed = views.stacked(poses.EULER)
-    held = poses.pose_from_euler(listed[:, :3], listed[:, 3:])
-    placed = poses.inverse(held) if rig == "board" else held
-    known = np.asarray(np.isfinite(placed).all(axis=1))
-    images = [name for name, is_known in zip(views.texts("image"), known, strict=True) if is_known]
-    board = _board(result.tables.get("targets")) if rig == "board" else []
-    around = [each.at for each in board] + [placed[known, :3]]
+    board = _board(result.tables.get("targets"), "board" if rig == "board" else "targets") if rig != "network" else []
+    around = [each.at for each in board] + [placed[:, :3]]
     size = _DEPTH * float(np.linalg.norm(np.ptp(np.concatenate(around), axis=0)))
-    cameras = stated_cameras(result) if "camera" in result.tables else []
-    of = np.zeros(len(images), dtype=np.intp)
-    if len(cameras) > 1:
-        of = exposures({one.name: one.images for one in cameras}, images).camera
     if not cameras or len(images) > _MOST:
-        return [*board, PlottedPoints("cameras", tuple(images), placed[known, :3])]
-    lines = _pyramids(placed[known], np.stack([_corners(one) for one in cameras])[of] * size)
+        return [*board, PlottedPoints("cameras", tuple(images), placed[:, :3])]
+    of = np.arange(len(images)) if rig == "cmm" else np.zeros(len(images), dtype=np.intp)
+    if len(cameras) > 1 and rig != "cmm":
+        of = exposures({one.name: one.images for one in cameras}, images).camera
+    lines = _pyramids(placed, np.stack([_corners(one) for one in cameras])[of] * size)
     each = [(one.name, of == k) for k, one in enumerate(cameras)] if 1 < len(cameras) <= _NAMED else []
     return [
         *board,
         *(
-            PlottedPoints(name, tuple(np.array(images)[own]), placed[known, :3][own], lines=lines[own])
+            PlottedPoints(name, tuple(np.array(images)[own]), placed[own, :3], lines=lines[own])
             for name, own in each or [("cameras", of >= 0)]
         ),
     ]
 
 
-def _board(targets: Table | None) -> list[PlottedPoints]:
+def _of_views(result: Result) -> tuple[list[str], Array]:
+    """Return the images whose pose is known, with the pose of their camera (n, 6) in the frame of the targets."""
+    views, rig = result.tables.get("views"), result.statistics.get("rig")
+    if rig not in ("board", "network") or views is None or "alpha" not in views:
+        return [], np.zeros((0, 6))
+    listed = views.stacked(poses.EULER)
+    held = poses.pose_from_euler(listed[:, :3], listed[:, 3:])
+    placed = poses.inverse(held) if rig == "board" else held
+    known = np.asarray(np.isfinite(placed).all(axis=1))
+    return [name for name, is_known in zip(views.texts("image"), known, strict=True) if is_known], placed[known]
+
+
+def _standing(result: Result, cameras: list[StatedCamera]) -> tuple[list[str], Array]:
+    """Return the cameras that stand in the frame of the targets, with their poses (n, 6)."""
+    known, first = {estimate.name: estimate.value for estimate in result.estimates}, cameras[0].name
+    keys = [f"{first}.{key}" if first else key for key in poses.EULER]
+    if not set(keys) <= set(known):
+        return [], np.zeros((0, 6))
+    listed = np.array([known[key] for key in keys])
+    taper = poses.pose_from_euler(listed[:3], listed[3:])
+    placed = [taper if one.pose is None else poses.compose(taper, one.pose) for one in cameras]
+    return [one.name or "camera" for one in cameras], np.stack(placed)
+
+
+def _board(targets: Table | None, kind: str) -> list[PlottedPoints]:
     """Return the targets, with lines along rows and columns where their names have these."""
     if targets is None or not set("xyz") <= set(targets):
-        return [PlottedPoints("board", ("origin",), np.zeros((1, 3)))]
+        return [PlottedPoints(kind, ("origin",), np.zeros((1, 3)))]
     at, names = targets.stacked("xyz"), targets.texts("target")
     places = [_ON_GRID.fullmatch(name) for name in names]
     row_of = {(int(place[1]), int(place[2])): row for row, place in enumerate(places) if place}
@@ -66,7 +85,7 @@ def _board(targets: Table | None) -> list[PlottedPoints]:
     for (row, column), k in row_of.items():
         ends[k] = row_of.get((row, column + 1), k), row_of.get((row + 1, column), k)
     lines = np.stack([np.broadcast_to(at[:, None], (len(at), 2, 3)), at[ends]], axis=2)
-    return [PlottedPoints("board", tuple(names), at, lines=lines if row_of else None)]
+    return [PlottedPoints(kind, tuple(names), at, lines=lines if row_of else None)]
 
 
 def _pyramids(placed: Array, corners: Array) -> Array:
