@@ -208,7 +208,7 @@ def why_not(
     centre: PrincipalPoint | None,
     folded: Sequence[str] = (),
 ) -> list[str]:
-    """Return why a camera must not be used; `folded` says that its lens model folds over among the readings.
+    """Return the doubts about a camera; `folded` has where its lens model folds over among the readings.
 
     It holds its principal point or other values against the readings. Or its targets are nearer than its focal length,
     or the lens model maps two directions to one pixel among the readings, or some image points were not found, or it

@@ -146,7 +146,10 @@ class _Linear:
         radius, wanted = np.hypot(*reached), np.hypot(*(uv - centre))[:, None]
         grows = np.cumprod(np.diff(radius, axis=1, prepend=0.0) > 0, axis=1)
         last = np.maximum((grows * (radius < wanted)).sum(axis=1), 1) - 1
-        return np.asarray(away * _ALONG[last])
+        rows, after = np.arange(len(last)), np.minimum(last + 1, len(_ALONG) - 1)
+        step = radius[rows, after] - radius[rows, last]
+        share = np.where(step > 0, (wanted[:, 0] - radius[rows, last]) / np.where(step > 0, step, 1.0), 0.0)
+        return np.asarray(away * (_ALONG[last] + np.clip(share, -1, 1) * (_ALONG[1] - _ALONG[0])))
 
     def image(self, values: Array, uv: Array, directions: Array) -> Array:
         lens = self.named(values)
@@ -168,39 +171,32 @@ class _Linear:
         return np.stack(columns, axis=1)
 
     def by_movement(self, uv: Array, depth: float) -> Array:
-        """Return the derivatives by a rotation of the camera about x, y and z, and by a shift, without distortion.
+        """Return the derivatives by a rotation of the camera about x, y and z, and by a shift, by differences.
 
-        (2 n, 6), the shift in units of the depth [mm]; (2 n, 3) at an infinite depth.
+        (2 n, 6), the shift in units of the depth [mm]; (2 n, 3) at an infinite depth. Points of a fisheye are at one
+        distance: those of a wide angle have no depth along the axis.
         """
-        fx, fy = focal(self.named(self.values))
-        x, y = self.directions(uv)
-        if self.convention == "fisheye":
-            return self._moved(np.stack([x, y]), np.array([[fx], [fy]]), depth)
-        zero = np.zeros_like(x)
-        turns = [
-            np.concatenate([fx * x * y, fy * (1 + y**2)]),
-            np.concatenate([fx * (1 + x**2), fy * x * y]),
-            np.concatenate([fx * -y, fy * x]),
-        ]
-        shifts = [
-            np.concatenate([fx + zero, zero]), np.concatenate([zero, fy + zero]), np.concatenate([fx * x, fy * y])
-        ]  # fmt: skip
-        return np.stack([*turns, *(shifts if np.isfinite(depth) else [])], axis=1)
-
-    @staticmethod
-    def _moved(flat: Array, focals: Array, depth: float) -> Array:
-        """Return the derivatives `by_movement` of a fisheye at points of its plane (2, n), by differences."""
-        seen = unit_vector(flat)
-        axes = np.eye(3) * _STEP
+        flat, axes = self.directions(uv), np.eye(3) * _STEP
+        fisheye = self.convention == "fisheye"
+        seen = unit_vector(flat) if fisheye else np.stack([*flat, np.ones(len(flat[0]))])
         moves = [np.cross(axis, seen, axisb=0, axisc=0) for axis in axes]
         if np.isfinite(depth):
-            # points at one distance: those of a wide angle have no depth along the axis
             moves += [np.broadcast_to(axis[:, None], seen.shape) for axis in axes]
         columns = []
         for moved in moves:
-            ahead, behind = (equidistant(seen + sign * moved) for sign in (1, -1))
-            columns.append((focals * [ahead.x - behind.x, ahead.y - behind.y] / (2 * _STEP)).ravel())
+            ahead, behind = (self._seen(seen + sign * moved) for sign in (1, -1))
+            columns.append((ahead - behind) / (2 * _STEP))
         return np.stack(columns, axis=1)
+
+    def _seen(self, points: Array) -> Array:
+        """Return the image points of points (3, n); of a backward lens without distortion, as `image` compares them."""
+        lens, fisheye = self.named(self.values), self.convention == "fisheye"
+        ideal = equidistant(points) if fisheye else None
+        x, y = (ideal.x, ideal.y) if ideal is not None else points[:2] / points[2]
+        if self.convention == "backward":
+            fx, fy = focal(lens)
+            return np.concatenate([fx * x, fy * y])
+        return np.concatenate(image_point(lens, x, y, fisheye))
 
 
 def coverage_note(statistics: Statistics) -> str:

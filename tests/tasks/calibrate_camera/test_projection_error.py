@@ -5,6 +5,7 @@ from __future__ import annotations
 from types import SimpleNamespace
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
@@ -40,6 +41,26 @@ def test_a_distortion_shows_where_no_reading_is() -> None:
     inside, corner = (std("k1", 0.01, 600.0, at) for at in (np.array([[520.0], [420.0]]), CORNER))
     assert corner > 20 * inside
     assert corner < 0.01 * 1000 * 0.64**3 * 1.2
+
+
+def test_a_distorted_lens_moves_as_with_the_derivatives_of_opencv() -> None:
+    columns, values = ("f", "cx", "cy", "k1", "k2"), np.array([900.0, 640.0, 480.0, -0.25, 0.06])
+    square, distortion = np.array([[900.0, 0, 640], [0, 900, 480], [0, 0, 1]]), np.array([-0.25, 0.06, 0, 0])
+    at = np.array([[639.0, 900, 1200, 5], [479.0, 300, 900, 10]])
+
+    def derivatives(uv: Any) -> tuple[Any, Any]:
+        flat = cv2.undistortPoints(uv.T[:, None].copy(), square, distortion, criteria=(3, 200, 1e-14))[:, 0]
+        points = 400.0 * np.c_[flat, np.ones(len(flat))]
+        by = cv2.projectPoints(points, np.zeros(3), np.zeros(3), square, distortion)[1]
+        return by[:, :6], np.c_[by[:, 6] + by[:, 7], by[:, 8:12]]
+
+    (by_move, by_lens), (near_move, near_lens) = derivatives(at), derivatives(READINGS)
+    change = by_lens - by_move @ np.linalg.lstsq(near_move, near_lens, rcond=None)[0]
+    covariance = np.diag([0.5, 0.4, 0.4, 0.004, 0.02]) ** 2
+    wanted = np.sqrt(np.einsum("ia,ab,ib->i", change, covariance, change).reshape(-1, 2).sum(axis=1))
+    lens = _Linear("forward", columns, values)
+    found = _Projection(lens, np.arange(5), covariance, READINGS, None).std(at, 400.0)
+    assert found == pytest.approx(wanted, rel=0.01)
 
 
 @pytest.mark.parametrize("rig", ["board", "network"])

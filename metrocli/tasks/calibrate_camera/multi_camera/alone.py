@@ -51,7 +51,7 @@ def doubts(
 
 
 def fisheyes(system: CameraSystem, settings: Settings, solution: Solution) -> list[str]:
-    """Return the cameras that the model fisheye fits far better than a solution that is none."""
+    """Return the cameras that the model fisheye fits far better than an adjustment that did not converge."""
     off = root_mean_square(system.images.residuals({**system.blocks, **solution.blocks}))
     each = ((name, fisheye_instead(one, system.cameras[name], off)) for name, one in _problems(system, settings))
     return [f"{name}: {line}" for name, lines in each for line in lines]
