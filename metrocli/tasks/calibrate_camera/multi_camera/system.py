@@ -36,6 +36,8 @@ from metrocli.tasks.shared.images.sightings import Sighted, placed
 from metrocli.words import in_a_row
 
 _STEPS = 60
+_LIKE = 2.0
+"""Ratio of scale bars to distances of the list beyond which units are doubted"""
 _COMMON = 4
 """Fewest targets that lay the network of one camera onto that of another"""
 
@@ -83,12 +85,15 @@ def system_of(
         raise InputError(f"no image of {in_a_row(exposed.unused)} shows enough targets; check `cameras: images`")
     # targets placed by a CMM are one frame for all cameras
     order = connected(exposed) if settings.rig != "cmm" else [(c, 0) for c in range(1, len(cameras))]
+    size = 1.0
     each = [_alone(settings.rig, one, of_camera(sighted, exposed, i)) for i, one in enumerate(cameras.items())]
     if settings.rig == "network":
         each = _in_first_frame(each, order)
+        size = _size_by_bars(each[0], bars) if np.isnan(sighted.targets.sigma).all() else 1.0
+        each = [_resized(problem, size) for problem in each]
         sighted = placed(sighted, needed(settings.rig, sighted.targets))
     seen = [_seen(exposed, i, problem) for i, problem in enumerate(each)]
-    points = sighted.targets.points
+    points = size * sighted.targets.points
     held = all_in_first([(c, beside, pose_between(seen[beside], seen[c], points)) for c, beside in order], len(each))
     blocks = _blocks(settings.rig, exposed, each, (seen, held))
     targets = sighted.targets
@@ -110,6 +115,11 @@ def system_of(
     # a target of a network that one camera does not place is placed by all together
     told = each if settings.rig != "network" else ()
     warnings = (*sighted.warnings, *(line for problem in told for line in problem.sighted.warnings))
+    if not 1 / _LIKE < size < _LIKE:
+        warnings += (
+            f"scale bars make the network {size:.3g} times as large as the list of targets: unless the list has no "
+            "scale of its own, check the units of both",
+        )
     system = CameraSystem(model, settings.rig, cameras, exposed, replace(sighted, warnings=warnings))
     if not sighted.eccentric:
         return system
@@ -154,6 +164,24 @@ def _in_first_frame(each: Sequence[CameraProblem], order: Sequence[tuple[int, in
             {**mine.blocks, **{name: mine.blocks[name].with_values(values) for name, values in moved.items()}}
         )
     return laid
+
+
+def _size_by_bars(problem: CameraProblem, bars: Table | None) -> float:
+    """Return by what scale bars are longer than distances of the listed targets, which may have any scale; else 1."""
+    names = problem.sighted.targets.names
+    if bars is None or not {*bars.texts("from"), *bars.texts("to")} <= set(names):
+        return 1.0
+    at = problem.blocks[camera.TARGET].values
+    ends = (at[[names.index(name) for name in bars.texts(column)]] for column in ("from", "to"))
+    listed = np.linalg.norm(np.subtract(*ends), axis=1)
+    return float(np.median(bars.numbers("length") / np.maximum(listed, 1e-300)))
+
+
+def _resized(problem: CameraProblem, size: float) -> CameraProblem:
+    views, targets = problem.blocks[camera.VIEW], problem.blocks[camera.TARGET]
+    larger = replace(targets, values=size * targets.values, reach=size * targets.reach)
+    farther = views.with_values(views.values * np.repeat([size, 1.0], 3))
+    return problem.with_blocks({**problem.blocks, camera.VIEW: farther, camera.TARGET: larger})
 
 
 def _shape(problem: CameraProblem, several: OneOfSeveral, settings: Settings) -> tuple[LensShape, Array] | None:
