@@ -228,7 +228,7 @@ def test_points_of_a_network_are_placed_by_all_cameras(tmp_path: Path, metrocli:
     inputs = TABLES.replace("}", ", scale_bars: bars.csv, test_lengths: tests.csv}")
     path.write_text(path.read_text().replace("rig: board", "rig: network").replace(TABLES, inputs))
     ran = metrocli("calibrate-camera", path)
-    assert ran.code == 0 and "times as large as the list of targets" in ran.err, ran.err
+    assert ran.code == 0 and "times the size of the list of targets" in ran.err, ran.err
     found = estimates(tmp_path / "rig.h5")
     truth = {
         f"{name}.{key}": v for name, lens in LENSES.items() for key, v in zip(("f", "cx", "cy"), lens, strict=False)

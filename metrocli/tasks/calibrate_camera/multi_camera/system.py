@@ -117,8 +117,8 @@ def system_of(
     warnings = (*sighted.warnings, *(line for problem in told for line in problem.sighted.warnings))
     if not 1 / _LIKE < size < _LIKE:
         warnings += (
-            f"scale bars make the network {size:.3g} times as large as the list of targets: unless the list has no "
-            "scale of its own, check the units of both",
+            f"by its scale bars the network has {size:.3g} times the size of the list of targets: check the units of "
+            "both, unless the list has no scale of its own",
         )
     system = CameraSystem(model, settings.rig, cameras, exposed, replace(sighted, warnings=warnings))
     if not sighted.eccentric:
