@@ -5,14 +5,15 @@ from __future__ import annotations
 import numpy as np
 
 from metrocli.adjust.solution import Solution
-from metrocli.arrays import Array
+from metrocli.arrays import Array, Index
 from metrocli.geometry import poses
 from metrocli.result import SCALE as ABOUT_ONE
 from metrocli.result import Estimate, Result, ShownTable
 from metrocli.table import Table
 from metrocli.tasks.fit_points import KIND
 from metrocli.tasks.fit_points.effects import SCALE
-from metrocli.tasks.fit_points.problem import PLACE, POSE, Places, PointPairs
+from metrocli.tasks.fit_points.links import PLACE
+from metrocli.tasks.fit_points.problem import POSE, Places, PointPairs
 from metrocli.tasks.fit_points.report import notes, warnings
 from metrocli.tasks.fit_points.tested import Tested, tested
 from metrocli.tasks.shared.joint_covariance import factors
@@ -26,7 +27,7 @@ def joined(problem: PointPairs, solution: Solution) -> Result:
     """Return the result of several stations that are solved; estimates are named `S2.x`, `S2.scale`."""
     test, places = tested(problem, solution), problem.joins
     assert places is not None
-    off = without_rounding(_deviations(problem, test), test.rounding)
+    off = without_rounding(_deviations(problem, places, test), test.rounding)
     distance = np.sqrt((off**2).sum(axis=1))
     size = float(np.sqrt((distance**2).mean()))
     statistics = basic_statistics(solution, {"mm": size}) | {"points": len(places.names)}
@@ -61,14 +62,14 @@ def joined(problem: PointPairs, solution: Solution) -> Result:
     )
 
 
-def _deviations(problem: PointPairs, test: Tested) -> Array:
+def _deviations(problem: PointPairs, places: Places, test: Tested) -> Array:
     """Return each measured point after the transformation of its station, less its place, (n, 3)."""
     blocks, at = test.solution.blocks, problem.station
     scale = 1.0 + blocks[SCALE].values[at]
-    return poses.apply(blocks[POSE].values[at], scale * problem.measured) - blocks[PLACE].values[problem.places.of]
+    return poses.apply(blocks[POSE].values[at], scale * problem.measured) - blocks[PLACE].values[places.of]
 
 
-def _points(test: Tested, places: Places, counts: Array) -> Table:
+def _points(test: Tested, places: Places, counts: Index) -> Table:
     return Table.of(
         {
             "point": places.names,
@@ -107,7 +108,7 @@ def _estimates(problem: PointPairs, test: Tested) -> tuple[tuple[Estimate, ...],
     return tuple(Estimate(name, value, std, *unit) for (name, unit), value, std in numbers), covariance
 
 
-def _alone(places: Places, counts: Array) -> list[str]:
+def _alone(places: Places, counts: Index) -> list[str]:
     """Return a note on the points that a single station measured, and that no list has."""
     alone = (counts == 1) & ~np.isfinite(places.spread.sigma).all(axis=1) & places.free.any(axis=1)
     names = [places.names[i] for i in np.flatnonzero(alone)]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import cached_property
 
 import numpy as np
 
@@ -18,8 +19,8 @@ from metrocli.tasks.fit_points.settings import COVARIANCES, ESTIMATED
 from metrocli.tasks.shared.lists import refuse, sigmas
 from metrocli.uncertainty.predicted import has_points, points_of
 
-EXACT = 1e-4
-"""Standard uncertainty of what counts as exact, relative to that of what is laid onto it"""
+_SHARE = 1e-5
+"""Share of the variance of a point that its readings have, relative to the least or the mean of its list"""
 
 
 @dataclass(frozen=True)
@@ -34,7 +35,7 @@ class Spread:
     @property
     def sigma(self) -> Array:
         """Standard deviations of the coordinates (n, 3): 0 exact, nan unknown."""
-        return np.sqrt(np.einsum("nkk->nk", self.covariance))
+        return np.asarray(np.sqrt(np.einsum("nkk->nk", self.covariance)))
 
     @property
     def correlated(self) -> bool:
@@ -57,6 +58,27 @@ class Spread:
             joint[np.ix_(entries, entries)] = self.joint
         return Spread(covariance, joint)
 
+    @cached_property
+    def shared_out(self) -> tuple[Spread, Array]:
+        """Return the spread less a small part that is alike in all directions, and that part (n,) [mm^2].
+
+        Readings of the points have that part. So points are unknowns beside readings that have an error, and the sum is
+        what the list states. Directions without an error, as those that a datum fixes, get one of this size.
+        """
+        known, unit = self.sigma > 0, np.eye(3)
+        if self.joint is not None:
+            entries = np.flatnonzero(known)
+            values, vectors = np.linalg.eigh(self.joint[np.ix_(entries, entries)])
+            part = _SHARE * float(values.mean()) if len(values) else 0.0
+            joint = self.joint.copy()
+            joint[np.ix_(entries, entries)] = (vectors * np.maximum(values - part, part)) @ vectors.T
+            return Spread(self.covariance, joint), np.full(len(known), part)
+        plain = np.where(known, self.sigma, 0.0).max(axis=1, initial=0.0) ** 2
+        both = known[:, :, None] & known[:, None, :]
+        least = np.linalg.eigvalsh(np.where(both, self.covariance, plain[:, None, None] * unit))[:, 0]
+        parts = _SHARE * least
+        return Spread(self.covariance - np.where(both, parts[:, None, None] * unit, 0.0)), parts
+
     def own(self, noise: float | str) -> Array:
         """Return the covariance of each point (n, 3, 3); unknown variances are `noise^2`, nan if it is estimated."""
         variance = np.nan if noise == ESTIMATED else float(noise) ** 2
@@ -69,7 +91,7 @@ class Spread:
             members, columns = np.nonzero(block.free & (self.sigma > 0))
             if members.size:
                 entries = 3 * members + columns
-                yield joint_prior([(block, members, columns)], _positive(self.joint[np.ix_(entries, entries)]))
+                yield joint_prior([(block, members, columns)], self.joint[np.ix_(entries, entries)])
             return
         whole = _mixed(self.covariance) & block.free.all(axis=1)
         if whole.any():
@@ -128,13 +150,6 @@ def _of_result(points: Result) -> tuple[Table, Spread]:
 def _mixed(covariance: Array) -> Mask:
     """Return which points have covariances between their coordinates, (n,)."""
     return np.asarray((np.nan_to_num(covariance) * (1 - np.eye(3)) != 0).any(axis=(1, 2)))
-
-
-def _positive(covariance: Array) -> Array:
-    """Return a covariance whose motions without error, as those that a datum fixes, have a very small one."""
-    values, vectors = np.linalg.eigh(covariance)
-    least = EXACT**2 * values[-1]
-    return covariance if values[0] >= least else (vectors * np.maximum(values, least)) @ vectors.T
 
 
 def _of_each(group: Group, covariance: Array) -> Group:

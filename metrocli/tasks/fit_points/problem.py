@@ -13,7 +13,7 @@ from dataclasses import field
 import numpy as np
 
 from metrocli.adjust.model.blocks import Block, Space
-from metrocli.adjust.model.chain import IDENTITY, Chain, LinkContext, Step
+from metrocli.adjust.model.chain import Chain
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Observations
 from metrocli.adjust.model.quantities import Quantity
@@ -25,57 +25,19 @@ from metrocli.geometry import poses
 from metrocli.instruments.frames import OutOf, PointOf
 from metrocli.table import Table
 from metrocli.tasks.fit_points.effects import SCALE
-from metrocli.tasks.fit_points.listed import EXACT, Spread, listed_points
+from metrocli.tasks.fit_points.links import PLACE, Coordinate, FromPlace, Scaled
+from metrocli.tasks.fit_points.listed import Spread, listed_points
 from metrocli.tasks.fit_points.settings import ESTIMATED, Files, Settings
 from metrocli.tasks.shared.lists import refuse
 from metrocli.tasks.shared.rounding import rounding_of
 from metrocli.words import listed, nearest
 
-POINT, POSE, PLACE = "point", "pose", "place"
+POINT, POSE = "point", "pose"
 AXES, PAIRS = ("x", "y", "z"), ("xy", "xz", "yz")
 _FEWEST, _ASKED = 3, 20
 """Points of a best fit, and names that are compared with those of the other list"""
 _REACH = 10.0
 """Reach of the transformation, in extents and rad: points may deviate by as much as their distances"""
-
-
-@dataclass(frozen=True)
-class Scaled:
-    """Link from a point to `(1 + s) x`, s the scale of its station."""
-
-    takes = gives = Quantity.POINT_IN_PART
-    blocks = (SCALE,)
-
-    def step(self, value: Array, local: LinkContext) -> Step:
-        """Return `(1 + s) x` (3, n), with its derivatives by the point and by the scale."""
-        scale = 1.0 + local.rows(SCALE)[0]
-        return Step(scale * value, np.eye(3)[:, :, None] * scale, {SCALE: value[:, None, :]})
-
-
-@dataclass(frozen=True)
-class FromPlace:
-    """Link from a point to its deviation from its unknown place, `X - P`."""
-
-    takes = gives = Quantity.POINT_IN_MACHINE
-    blocks = (PLACE,)
-
-    def step(self, value: Array, local: LinkContext) -> Step:
-        """Return the deviation (3, n), with its derivatives."""
-        return Step(value - local.rows(PLACE), IDENTITY, {PLACE: -np.eye(3)[:, :, None]})
-
-
-@dataclass(frozen=True)
-class Coordinate:
-    """Link to one coordinate of a point."""
-
-    axis: int
-    takes = Quantity.POINT_IN_MACHINE
-    gives = Quantity.LENGTH
-    blocks = ()
-
-    def step(self, value: Array, local: LinkContext) -> Step:
-        """Return the coordinate, (1, n), with its derivative."""
-        return Step(value[self.axis][None], np.eye(3)[self.axis][None, :, None])
 
 
 @dataclass(frozen=True)
@@ -118,7 +80,7 @@ class PointPairs:
     """Of each measured point, (n,)"""
     fixed: bool = False
     """Whether the first station is the frame"""
-    start: tuple[Array, Array] | None = None
+    start: tuple[Array, Array] = field(default_factory=lambda: (np.zeros((1, 6)), np.ones(1)))
     """Pose and scale of each station, (stations, 6) and (stations,)"""
 
     @property
@@ -146,9 +108,9 @@ class PointPairs:
         """The places that join several stations; None where there is one."""
         return self.places if self.stations != ("",) else None
 
-    def model(self, pose: Array, scale: Array) -> Model:
-        """Return the model at starting values, (stations, 6) and (stations,), to which effects can be added."""
-        blocks = self._blocks(pose, scale)
+    def model(self) -> Model:
+        """Return the model at its start, to which effects can be added."""
+        blocks = self._blocks(*self.start)
         groups = self._groups(blocks)
         places = {"point": Place(self.names, POINT), "axis": Place(AXES), "pair": Place(PAIRS)}
         measured = tuple(group.name for group in groups if group.name in AXES)
@@ -168,11 +130,11 @@ class PointPairs:
         loose = (np.arange(len(self.stations)) > 0) | (not self.fixed)
         names = tuple(" ".join(parts) for parts in zip(*self.keys.values(), strict=True))
         near = np.array(extent / 10)
-        of_scale = {"free": (loose & self.scale)[:, None], "reach": np.array(0.1), "noun": "station"}
+        of_scale = (loose & self.scale)[:, None], np.array(0.1), Space.FLAT, "station"
         blocks = [
             Block(POINT, self.measured, AXES, names, self._own, near, noun="point"),
             Block(POSE, pose, poses.COLUMNS, self.stations, loose[:, None], reach, Space.POSE, "station"),
-            Block(SCALE, (scale - 1.0)[:, None], ("scale",), self.stations, **of_scale),
+            Block(SCALE, (scale - 1.0)[:, None], ("scale",), self.stations, *of_scale),
         ]
         if self.places is not None:
             known = self.places
@@ -181,9 +143,10 @@ class PointPairs:
 
     def _groups(self, blocks: dict[str, Block]) -> tuple[Group, ...]:
         """Return a group of readings for each axis, and what the lists observe."""
-        known = [*self.spread.observing(blocks[POINT])]
+        known = [*self.spread.shared_out[0].observing(blocks[POINT])]
         if self.places is not None:
-            known += self.places.spread.observing(blocks[PLACE])
+            listed_places = self.places.spread
+            known += (listed_places if self.joins else listed_places.shared_out[0]).observing(blocks[PLACE])
         return (*(group for axis in range(3) if (group := self._along(axis)) is not None), *known)
 
     def _along(self, axis: int) -> Group | None:
@@ -218,7 +181,7 @@ class PointPairs:
     @property
     def estimated(self) -> bool:
         """Whether a noise is estimated: where it is asked for and some coordinate has no standard uncertainty."""
-        bare = np.isnan(self.nominal_sigma) & ~self._own & np.isfinite(self.nominal)
+        bare = ~(self.nominal_sigma > 0) & ~self._own & np.isfinite(self.nominal)
         return self.noise == ESTIMATED and bool(bare.any())
 
     @property
@@ -235,11 +198,13 @@ class PointPairs:
     def sigma(self) -> Array:
         """Standard deviation of each nominal coordinate as a reading, (n, 3)."""
         noise = self.start_noise if self.noise == ESTIMATED else float(self.noise)
-        stated = np.where(np.isfinite(self.nominal_sigma), self.nominal_sigma, np.where(self._own, 0.0, noise))
-        least = np.where(self._own, self.spread.sigma, np.where(stated > 0, stated, noise))
+        stated = np.where(self.nominal_sigma > 0, self.nominal_sigma, np.where(self._own, 0.0, noise)) ** 2
         if self.places is not None and self.joins is None:  # their list observes them
-            stated = np.where(self.places.free[self.places.of], 0.0, stated)
-        return np.maximum(stated, EXACT * least)
+            free = self.places.free[self.places.of]
+            stated = np.where(free, self.places.spread.shared_out[1][self.places.of][:, None], stated)
+        # the part of the measured points, in the size that it has after the transformation
+        part = (self.spread.shared_out[1] * self.start[1][self.station] ** 2)[:, None]
+        return np.sqrt(stated + np.where(self._own, part, 0.0))
 
 
 def problem_of(settings: Settings, files: Files) -> PointPairs:

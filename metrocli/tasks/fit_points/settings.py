@@ -37,8 +37,8 @@ NOMINAL = Columns(
 class Files:
     """The points as measured, and where they should be."""
 
-    points: Table | Result = content(Either(TableFile(POINTS), _RESULTS), default=ABSENT)
-    nominal: Table | Result | None = content(Either(TableFile(NOMINAL), _RESULTS), needed=False)
+    points: Table | Result = content(Either(TableFile(POINTS), _RESULTS), POINTS.description, default=ABSENT)
+    nominal: Table | Result | None = content(Either(TableFile(NOMINAL), _RESULTS), NOMINAL.description, needed=False)
 
     @property
     def stations(self) -> bool:
@@ -67,7 +67,7 @@ def refuse_nothing_to_do(settings: Settings, files: Files) -> None:
     """Raise InputError if there is nothing to lay points onto, and no feature to lay through them."""
     if files.nominal is not None or files.stations:
         return
-    what = "name the `nominal` points of a best fit, `features`, or give the points a column 'station'"
+    what = "name the `nominal` points of a best fit, or `features` to lay through the points; or have stations"
     if not settings.features:
         raise InputError(f"inputs: {what}")
     if settings.scale:

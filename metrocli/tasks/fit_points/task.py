@@ -9,7 +9,6 @@ import numpy as np
 
 from metrocli.adjust.adjustment import adjust
 from metrocli.adjust.solution import Solution
-from metrocli.arrays import Array
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.effects.correlated import with_all
 from metrocli.effects.model import Added
@@ -21,7 +20,7 @@ from metrocli.tasks.fit_points.effects import EFFECTS, PLACES
 from metrocli.tasks.fit_points.features import features_alone
 from metrocli.tasks.fit_points.joined import joined
 from metrocli.tasks.fit_points.listed import table_of
-from metrocli.tasks.fit_points.problem import POSE, PointPairs, problem_of
+from metrocli.tasks.fit_points.problem import PointPairs, problem_of
 from metrocli.tasks.fit_points.report import report
 from metrocli.tasks.fit_points.settings import Files, Settings, refuse_nothing_to_do
 from metrocli.tasks.fit_points.start import aligned_start, mirrored, similarity
@@ -40,7 +39,7 @@ def run(job: Job[Settings, Files]) -> Result:
     wanted = wanted_features(settings.features, table_of(files.points), "points")
     if files.nominal is None:
         return features_alone(wanted, files.points, settings.noise)
-    problem = problem_of(settings, files)
+    problem = _started(problem_of(settings, files))
     mirror = _of_the_mirror_image(problem)
     return report(problem, solved(problem, job.effects), mirror, wanted)
 
@@ -57,7 +56,7 @@ def diagnosed(job: Job[Settings, Files]) -> AdjustedJob:
         )
     if job.files.nominal is None:
         raise InputError("only a best fit can be diagnosed: this job has no `nominal` points")
-    problem = problem_of(job.settings, job.files)
+    problem = _started(problem_of(job.settings, job.files))
     _of_the_mirror_image(problem)
     solution, added = solved(problem, job.effects)
     if solution.dof <= 0:
@@ -65,8 +64,7 @@ def diagnosed(job: Job[Settings, Files]) -> AdjustedJob:
     if problem.estimated:
         problem = replace(problem, noise=max(solution.sigma0 * problem.start_noise, problem.rounding))
         solution, added = solved(problem, job.effects)
-    model = problem.model(solution.blocks[POSE].values, np.ones(1))
-    return adjusted_job(replace(model, blocks=solution.blocks, groups=solution.groups, added=added))
+    return adjusted_job(replace(problem.model(), blocks=solution.blocks, groups=solution.groups, added=added))
 
 
 def check(job: Job[Settings, Files]) -> None:
@@ -85,7 +83,7 @@ def solved(problem: PointPairs, wanted: Iterable[Wanted] = ()) -> tuple[Solution
 
     Raises InputError for effects that cannot act, UndeterminedError or NotConvergedError if it has no good solution.
     """
-    model = with_all(problem.model(*_start(problem)), wanted)
+    model = with_all(problem.model(), wanted)
     solution = adjust(model.blocks.values(), model.groups)
     if solution.undetermined or not solution.outcome.good:
         lines = [f"  undetermined: {combination}" for combination in solution.undetermined[:3]]
@@ -103,13 +101,11 @@ def _of_stations(job: Job[Settings, Files]) -> PointPairs:
     return stations_of(job.settings, job.files)
 
 
-def _start(problem: PointPairs) -> tuple[Array, Array]:
-    """Return the pose and the scale of each station, (stations, 6) and (stations,)."""
-    if problem.start is not None:
-        return problem.start
+def _started(problem: PointPairs) -> PointPairs:
+    """Return the points of one station with its start."""
     whole = len(problem.full) == len(problem.names)
     pose, scale = (similarity if whole else aligned_start)(problem.measured, problem.nominal, problem.scale)
-    return pose[None], np.array([scale])
+    return replace(problem, start=(pose[None], np.array([scale])))
 
 
 def _of_the_mirror_image(problem: PointPairs) -> float:

@@ -8,16 +8,17 @@ from dataclasses import replace
 import numpy as np
 
 from metrocli.adjust.model.groups import Group, ReadBlock, ReadEntries
-from metrocli.adjust.robust import FitQuality, Suspects, suspects
+from metrocli.adjust.robust import FitQuality, suspects
 from metrocli.adjust.solution import Residuals, Solution, residuals_of
 from metrocli.arrays import Array, Index
 from metrocli.frozen import dataclass
 from metrocli.table import Table
-from metrocli.tasks.fit_points.problem import PLACE, POINT, PointPairs
+from metrocli.tasks.fit_points.links import PLACE
+from metrocli.tasks.fit_points.problem import POINT, PointPairs
 from metrocli.tasks.shared.statistics import residual_table
 
-_CONTROLLED = 1e-6
-"""Redundancy from which a reading has a test of its own"""
+_CONTROLLED = 2e-5
+"""Redundancy from which a reading has a test of its own: more than the share of a point that its list observes"""
 
 
 @dataclass(frozen=True)
@@ -51,44 +52,69 @@ def tested(problem: PointPairs, solution: Solution) -> Tested:
     factor = solution.sigma0 if problem.estimated and solution.dof > 0 else 1.0
     exact = problem.estimated and factor * problem.start_noise <= problem.rounding
     rounding, factor = (problem.rounding, 0.0) if exact else (0.0, factor)
-    groups = [group for group in solution.groups if group.name in "xyz"]
-    of_points = [group for group in solution.groups if {POINT, PLACE} & group.observations.index.keys()]
-    every = {group.name: _residuals(solution, group) for group in of_points}
-    read = [residual_table(_in_noise(every[group.name], factor), group) for group in groups]
-    found = suspects(
-        _merged(list(every.values())), FitQuality(solution.cost, solution.dof, noise_known=not problem.estimated)
-    )
-    rows = np.concatenate([_rows(group, len(problem.names)) for group in of_points])
+    axes = [group for group in solution.groups if group.name in "xyz"]
+    read = {group.name: _controlled(residuals_of(solution, group)) for group in axes}
+    table = Table.stack([residual_table(_in_noise(read[group.name], factor), group) for group in axes])
+    known = [group for group in solution.groups if _known(group) and group.name not in read]
+    whole = {group.name: whole for group in known if (whole := _whole(solution, group)) is not None}
+    alone = read | {group.name: residuals_of(solution, group) for group in known if group.name not in whole}
+    fit = FitQuality(solution.cost, solution.dof, noise_known=not problem.estimated)
+    critical, worst = 0.0, list[tuple[float, int]]()
+    for tests, together in ((alone, False), (whole, True)):
+        groups = [group for group in solution.groups if group.name in tests and tests[group.name].normalised.any()]
+        if groups:
+            merged = _merged([tests[group.name] for group in groups], together)
+            found = suspects(merged, fit)
+            rows = np.concatenate([_rows(group, len(problem.names), together) for group in groups])[found.rows]
+            worst += zip(found.tests.tolist(), rows.tolist(), strict=True)
+            critical = max(critical, found.critical)
     certain = replace(solution, covariance=solution.covariance_or_raise().scaled(factor**2))
-    return Tested(certain, factor, rounding, Table.stack(read), found.critical, _largest(found, rows))
+    largest = {row: test for test, row in sorted(worst)}  # the largest of a point comes last
+    ordered = dict(sorted(largest.items(), key=lambda item: -item[1]))
+    return Tested(certain, factor, rounding, table, critical, ordered)
 
 
-def _residuals(solution: Solution, group: Group) -> Residuals:
-    """Return residuals, and the tests of coordinates, also where these are correlated.
+def _controlled(residuals: Residuals) -> Residuals:
+    """Return residuals without tests where the errors are those of the measured points, whose own list tests them."""
+    return replace(residuals, normalised=np.where(residuals.redundancy > _CONTROLLED, residuals.normalised, 0.0))
 
-    `w_i = (P v)_i / sqrt((P - P Q P)_ii)`, P the inverse of the covariance of the coordinates, Q their covariance after
-    the adjustment: the test of an error in one of them (Baarda 1968, Kok 1984).
+
+def _known(group: Group) -> bool:
+    """Return whether a group is what a list observes of points or places."""
+    return getattr(group.chain.links[0], "block", "") in (POINT, PLACE) and len(group.chain.links) == 1
+
+
+def _whole(solution: Solution, group: Group) -> Residuals | None:
+    """Return the tests of whole points, (3, n), whose squares add to what the misfit loses without the point.
+
+    With the residuals v of the coordinates, the inverse P of their covariance, and their covariance Q after the
+    adjustment, they are `M^-1/2 u`, where u and M are the point's parts of `P v` and `P - P Q P` (Baarda 1968, test of
+    a group of readings). None for a list that does not observe whole points.
     """
-    residuals = residuals_of(solution, group)
-    if group.observations.covariance is None:
-        return residuals
-    (link,) = group.chain.links
-    assert isinstance(link, ReadBlock | ReadEntries)
-    index, after = group.observations.index[link.block], solution.covariance_or_raise()
+    (link,), read = group.chain.links, group.observations
+    after, residuals = solution.covariance_or_raise(), residuals_of(solution, group)
     if isinstance(link, ReadEntries):
-        members, columns = link.entries(index)
-        entries = members * solution.blocks[link.block].size + columns
-        known = after.of(link.block)[np.ix_(entries, entries)][None]
+        members, columns = link.entries(read.index[link.block])
+        if read.covariance is None or (np.bincount(members)[np.unique(members)] != 3).any():
+            return None
+        weight, entries = np.linalg.inv(read.covariance[:, :, 0]), 3 * members + columns
+        force = (weight @ residuals.values[:, 0]).reshape(-1, 3)
+        whole = weight - weight @ after.of(link.block)[np.ix_(entries, entries)] @ weight
+        points = np.arange(len(force))
+        certainty, own = (each.reshape(len(points), 3, -1, 3)[points, :, points] for each in (whole, weight))
+    elif isinstance(link, ReadBlock) and len(link.columns) == 3:
+        stated = np.eye(3) * read.sigma.T[:, None, :] ** 2 if read.covariance is None else read.covariance.T
+        own = np.linalg.inv(stated)
+        force = np.einsum("nab,bn->na", own, residuals.values)
+        certainty = own - own @ after.members(link.block)[read.index[link.block]] @ own
     else:
-        known = after.members(link.block)[index]
-    weight = np.linalg.inv(np.moveaxis(group.observations.covariance, -1, 0))
-    test = (weight @ residuals.values.T[:, :, None])[:, :, 0]
-    variance = np.einsum("nkk->nk", weight - weight @ known @ weight)
-    own = np.einsum("nkk->nk", weight)
-    redundancy = np.clip(variance / own, 0.0, 1.0)
-    controlled = redundancy > _CONTROLLED
-    normalised = np.where(controlled, test / np.sqrt(np.where(controlled, variance, 1.0)), 0.0)
-    return replace(residuals, redundancy=redundancy.T, normalised=normalised.T)
+        return None
+    values, vectors = np.linalg.eigh(certainty)
+    controlled = values > _CONTROLLED * np.einsum("nkk->n", own)[:, None]
+    scaled = np.einsum("nba,nb->na", vectors, force) / np.sqrt(np.where(controlled, values, 1.0))
+    tests = np.einsum("nab,nb->an", vectors, np.where(controlled, scaled, 0.0))
+    blank = np.ones(tests.shape)
+    return Residuals(tests, blank, blank, tests)
 
 
 def _in_noise(residuals: Residuals, factor: float) -> Residuals:
@@ -101,32 +127,26 @@ def _in_noise(residuals: Residuals, factor: float) -> Residuals:
     return replace(residuals, sigma=residuals.sigma * factor, normalised=normalised)
 
 
-def _merged(read: list[Residuals]) -> Residuals:
-    """Return the residuals of all coordinates, group by group and axis by axis, as readings of one component."""
+def _merged(read: list[Residuals], whole: bool) -> Residuals:
+    """Return the residuals of all groups as readings of one component, or as whole points."""
     parts = ("values", "sigma", "redundancy", "normalised")
     return Residuals(
-        *(np.concatenate([_flat(getattr(residuals, part), residuals) for residuals in read])[None] for part in parts)
+        *(np.concatenate([_each(getattr(one, part), one, whole) for one in read], axis=1) for part in parts)
     )
 
 
-def _flat(values: Array, residuals: Residuals) -> Array:
-    return np.broadcast_to(values, residuals.values.shape).ravel()
+def _each(values: Array, residuals: Residuals, whole: bool) -> Array:
+    spread = np.broadcast_to(values, residuals.values.shape)
+    return spread if whole else spread.reshape(1, -1)
 
 
-def _rows(group: Group, points: int) -> Index:
-    """Return the row of each coordinate of a group: that of a measured point, or `points` and more for a place."""
+def _rows(group: Group, points: int, whole: bool) -> Index:
+    """Return the row of each test of a group: that of a measured point, or `points` and more for a place."""
     link = group.chain.links[0]
+    block = PLACE if getattr(link, "block", "") == PLACE else POINT
+    index = np.ravel(group.observations.index[block])
     if isinstance(link, ReadEntries):
-        rows = link.entries(group.observations.index[link.block])[0]
+        rows = index if whole else link.entries(group.observations.index[block])[0]
     else:
-        block = PLACE if isinstance(link, ReadBlock) and link.block == PLACE else POINT
-        rows = np.tile(np.ravel(group.observations.index[block]), len(group.observations.readings))
-    return rows + points if getattr(link, "block", POINT) == PLACE else rows
-
-
-def _largest(found: Suspects, rows: Index) -> dict[int, float]:
-    order = np.argsort(-found.tests)
-    worst: dict[int, float] = {}
-    for row, test in zip(rows[found.rows[order]].tolist(), found.tests[order].tolist(), strict=True):
-        worst.setdefault(row, test)
-    return worst
+        rows = index if whole else np.tile(index, len(group.observations.readings))
+    return rows + points if block == PLACE else rows
