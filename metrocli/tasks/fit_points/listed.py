@@ -19,7 +19,7 @@ from metrocli.tasks.fit_points.settings import COVARIANCES, ESTIMATED
 from metrocli.tasks.shared.lists import refuse, sigmas
 from metrocli.uncertainty.predicted import has_points, points_of
 
-_SHARE = 1e-5
+_SHARE = 1e-6
 """Share of the variance of a point that its readings have, relative to the least or the mean of its list"""
 
 

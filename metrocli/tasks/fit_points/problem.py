@@ -204,7 +204,7 @@ class PointPairs:
             stated = np.where(free, self.places.spread.shared_out[1][self.places.of][:, None], stated)
         # the part of the measured points, in the size that it has after the transformation
         part = (self.spread.shared_out[1] * self.start[1][self.station] ** 2)[:, None]
-        return np.sqrt(stated + np.where(self._own, part, 0.0))
+        return np.asarray(np.sqrt(stated + np.where(self._own, part, 0.0)))
 
 
 def problem_of(settings: Settings, files: Files) -> PointPairs:

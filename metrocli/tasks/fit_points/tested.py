@@ -17,7 +17,7 @@ from metrocli.tasks.fit_points.links import PLACE
 from metrocli.tasks.fit_points.problem import POINT, PointPairs
 from metrocli.tasks.shared.statistics import residual_table
 
-_CONTROLLED = 2e-5
+_CONTROLLED = 2e-6
 """Redundancy from which a reading has a test of its own: more than the share of a point that its list observes"""
 
 
