@@ -20,7 +20,7 @@ from metrocli.tasks.shared.lists import refuse, sigmas
 from metrocli.uncertainty.predicted import has_points, points_of
 
 _SHARE = 1e-6
-"""Share of the variance of a point that its readings have, relative to the least or the mean of its list"""
+"""Variance of the readings of a point, relative to the least of the point, or to the mean of a joint covariance"""
 
 
 @dataclass(frozen=True)
@@ -137,14 +137,7 @@ def table_of(points: Table | Result) -> Table:
 
 def _of_result(points: Result) -> tuple[Table, Spread]:
     table, places = table_of(points), points_of(points)
-    n = len(table)
-    joint = None
-    if places.common.shape[2]:
-        common = places.common.reshape(3 * n, -1)
-        joint = common @ places.core @ common.T
-        for i in range(n):
-            joint[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] += places.own[i]
-    return table, Spread(places.covariance, joint)
+    return table, Spread(places.covariance, places.joint if places.common.shape[2] else None)
 
 
 def _mixed(covariance: Array) -> Mask:

@@ -235,6 +235,14 @@ def test_covariances_that_cannot_be_are_refused() -> None:
         fitted(good, table(named(4), place))
 
 
+def test_measured_points_without_sigma_have_noise_on_exact_places() -> None:
+    place = np.random.default_rng(7).uniform(-500, 500, (6, 3))
+    exact = Table.of({"point": named(6), "x y z [mm]": place, "sigma [mm]": np.zeros(6)})
+    measured = table(named(6), place + np.random.default_rng(1).normal(0, 0.05, (6, 3)))
+    both = [fitted(measured, nominal, noise=0.05) for nominal in (exact, table(named(6), place))]
+    assert both[0].estimates == both[1].estimates and both[0].estimates[0].std > 0.02
+
+
 def test_noise_of_stations_is_estimated() -> None:
     place = np.random.default_rng(9).uniform(-500, 500, (30, 3))
     result = fitted(station_table(two_stations(place)))
