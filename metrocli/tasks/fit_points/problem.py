@@ -67,7 +67,7 @@ class PointPairs:
     spread: Spread
     """Of the measured points"""
     nominal_sigma: Array
-    """0 is exact, nan where there is none"""
+    """0 is exact, nan is unknown"""
     scale: bool
     noise: float | str
     list: Table

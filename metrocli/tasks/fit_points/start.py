@@ -54,20 +54,23 @@ def mirrored(points: Array, goals: Array, names: Sequence[str], scaled: bool, st
     """
     as_listed, other = rms(points, goals, scaled), mirrored_rms(points, goals, scaled)
     if len(points) > 3 and other * _MIRRORED < as_listed:
-        who = f"the points of station {station} are a mirror image of the others" if station else ""
+        if station:
+            raise InputError(
+                f"the points of station {station} are a mirror image of the others: mirrored, they fit to "
+                f"{other:.3g} mm (root mean square), and to {as_listed:.3g} mm as they are; turn the sign of one of its axes"
+            )
         raise InputError(
-            f"{who or 'the measured points are a mirror image of the nominal ones'}: mirrored, they fit to "
+            "the measured points are a mirror image of the nominal ones: mirrored, they fit to "
             f"{other:.3g} mm (root mean square), and to {as_listed:.3g} mm as they are; turn the sign of one axis "
-            f"{'of this station' if station else 'in one of the lists'}"
+            "in one of the lists"
         )
     pair = exchanged(points, goals, scaled)
     if pair is not None:
         one, two = (names[i] for i in pair)
-        where = f"at station {station}, or at those that it shares them with" if station else "in one of the lists"
-        raise InputError(
-            f"points {one} and {two} are exchanged {where}: with their names exchanged the squared deviations are "
-            "more than a hundred times smaller"
-        )
+        so = "without that the squared deviations are more than a hundred times smaller"
+        if station:
+            raise InputError(f"points {one} and {two} are exchanged at station {station}, or before it: {so}")
+        raise InputError(f"points {one} and {two} are exchanged in one of the lists: {so}")
     return other
 
 

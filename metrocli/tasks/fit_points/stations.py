@@ -25,7 +25,7 @@ _ON_A_LINE = 1e-6
 
 
 @dataclass(frozen=True)
-class Stations:
+class StationPoints:
     """Stations with their points, for the join."""
 
     names: tuple[str, ...]
@@ -51,7 +51,7 @@ def stations_of(settings: Settings, files: Files) -> PointPairs:
     refuse(points, {"a station measures, so no coordinate is exact (sigma 0)": (spread.sigma == 0).any(axis=1)})
     places, warnings = _places(points, files)
     names, station = _numbered(points.texts("station"))
-    given = Stations(names, places.names, points.stacked("xyz"), station, places.of, settings.scale)
+    given = StationPoints(names, places.names, points.stacked("xyz"), station, places.of, settings.scale)
     values, pose, scale = _joined(given, places.values, files.nominal is None)
     return PointPairs(
         tuple(points.texts("point")),
@@ -97,7 +97,7 @@ def _places(points: Table, files: Files) -> tuple[Places, tuple[str, ...]]:
     return Places(names, values, free, of, whole), (left,) if alone else ()
 
 
-def _joined(given: Stations, values: Array, fixed: bool) -> tuple[Array, Array, Array]:
+def _joined(given: StationPoints, values: Array, fixed: bool) -> tuple[Array, Array, Array]:
     """Return all places (m, 3), and pose (k, 6) and scale (k,) of each station; raises as `stations_of` does.
 
     The station whose common points are widest across comes next. `fixed`: the first station is the frame.
@@ -123,7 +123,7 @@ def _joined(given: Stations, values: Array, fixed: bool) -> tuple[Array, Array, 
     return values, pose, scale
 
 
-def _common(given: Stations, station: int, values: Array) -> Index:
+def _common(given: StationPoints, station: int, values: Array) -> Index:
     """Return the rows of a station whose places are known."""
     return np.flatnonzero((given.station == station) & np.isfinite(values[given.of]).all(axis=1))
 
@@ -136,7 +136,7 @@ def _width(places: Array) -> float:
     return float(across[1]) if across[1] > _ON_A_LINE * across[0] else 0.0
 
 
-def _unjoined(given: Stations, rows_of: dict[int, Index], none: bool) -> Iterator[str]:
+def _unjoined(given: StationPoints, rows_of: dict[int, Index], none: bool) -> Iterator[str]:
     """Yield for each station that cannot be joined what it has in common with the others."""
     for one, rows in rows_of.items():
         what = listed([given.places[i] for i in given.of[rows]])

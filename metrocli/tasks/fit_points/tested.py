@@ -87,9 +87,9 @@ def _known(group: Group) -> bool:
 def _whole(solution: Solution, group: Group) -> Residuals | None:
     """Return the tests of whole points, (3, n), whose squares add to what the misfit loses without the point.
 
-    With the residuals v of the coordinates, the inverse P of their covariance, and their covariance Q after the
-    adjustment, they are `M^-1/2 u`, where u and M are the point's parts of `P v` and `P - P Q P` (Baarda 1968, test of
-    a group of readings). None for a list that does not observe whole points.
+    v are the residuals of the coordinates, P is the inverse of their covariance, and Q their covariance after the
+    adjustment. The tests are `M^-1/2 u`: u is the part of the point in `P v`, and M that in `P - P Q P` (Baarda 1968,
+    test of a group of readings). None for a list that does not observe whole points.
     """
     (link,), read = group.chain.links, group.observations
     after, residuals = solution.covariance_or_raise(), residuals_of(solution, group)
