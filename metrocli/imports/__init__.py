@@ -70,6 +70,11 @@ FORMATS: dict[str, ImportFormat] = {
         "spatial networks of GNU Gama (gama-local)",
         "GNU Gama manual, XML input data format for gama-local",
     ),
+    "lgc2": ImportFormat(
+        "metrocli.imports.lgc2",
+        "spatial networks of LGC2 (CERN): set-ups with angles and distances",
+        "LGC2 user manual (github.com/geodetic-metrology-tools/LGC2)",
+    ),
     "metashape-markers": ImportFormat(
         "metrocli.imports.metashape_markers",
         "image points of the markers of Metashape, exported as XML; with --unit also their places",

@@ -10,6 +10,7 @@ from metrocli.imports.lines import TextLines
 
 _SIGNS = {
     "gama-xml": r"<gama-(local|xml)\b",
+    "lgc2": r"^\*(?:TITR|POIN|CALA)\b",
     "metashape-markers": r"<marker\s+marker_id=",
     "vnl": r"^#\s*filename\s+x\s+y\b",
 }
@@ -18,7 +19,6 @@ _SIGNS = {
 _NOT_READ = {
     "GSI of Leica": r"^\*?(?:11|41)[0-9]{4}[+-][0-9A-Za-z]{8}",
     "M5 of Zeiss or Trimble": r"^For M5\|Adr",
-    "input of LGC2": r"^\*(?:TITR|POIN|CALA)\b",
     "camera or point list of MicMac": r"<(?:ExportAPERO|DicoAppuisFlottant|SetOfMesureAppuisFlottants)\b",
     "camera of Pix4D": r"^Pix4D camera calibration file",
     "target of Kalibr": r"^target_?[tT]ype\s*:",

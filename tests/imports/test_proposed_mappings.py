@@ -68,7 +68,6 @@ def test_text_has_no_unit_and_no_row_is_lost(tmp_path: Path, metrocli: Metrocli)
             "GSI of Leica",
         ),
         ("For M5|Adr     1|KD1  4 |Rb 1.1 m |HD 6.9 m |\n", "M5 of Zeiss or Trimble"),
-        ("*TITR\nline\n*POIN\nREF3 -2.218 -0.647 10.795\n*END\n", "input of LGC2"),
         ("<?xml version='1.0'?>\n<ExportAPERO/>\n", "of MicMac"),
         ("Pix4D camera calibration file 0\nF 15.0\nPx 8.4\nPy 6.3\n", "camera of Pix4D"),
         ("target_type: 'aprilgrid'\ntagCols: 6\ntagRows: 6\n", "pattern: {type: aprilgrid"),

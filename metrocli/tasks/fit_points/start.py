@@ -57,7 +57,7 @@ def mirrored(points: Array, goals: Array, names: Sequence[str], scaled: bool, st
         if station:
             raise InputError(
                 f"the points of station {station} are a mirror image of the others: mirrored, they fit to "
-                f"{other:.3g} mm (root mean square), and to {as_listed:.3g} mm as they are; turn the sign of one of its axes"
+                f"{other:.3g} mm (root mean square), and to {as_listed:.3g} mm as they are; turn the sign of an axis"
             )
         raise InputError(
             "the measured points are a mirror image of the nominal ones: mirrored, they fit to "

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from metrocli.arrays import Array, Index
@@ -152,3 +154,12 @@ def _pose(local: Array, goal: Array, weights: Array) -> Array:
     centre, target = w @ local, w @ goal
     rotation = nearest_rotation(((goal - target) * w[:, None]).T @ (local - centre))
     return poses.pose(rotation, target - rotation @ centre)
+
+
+def with_level_beams(readings: NetworkReadings) -> NetworkReadings:
+    """Return the readings of a plane network, where nothing reads an elevation, with elevations of 0."""
+    seen = readings.sightings
+    if np.isfinite(seen.values[1]).any():
+        return readings
+    values = np.stack([seen.values[0], np.zeros_like(seen.values[1]), seen.values[2]])
+    return replace(readings, sightings=replace(seen, values=values))

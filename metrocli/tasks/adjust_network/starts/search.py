@@ -7,8 +7,6 @@ Method: docs/algorithms/joined-set-ups.md.
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from metrocli.arrays import Array, Index, Mask
@@ -23,6 +21,7 @@ from metrocli.tasks.adjust_network.starts.agreement import (
     known_turns,
     list_offset,
     must_agree,
+    with_level_beams,
 )
 from metrocli.tasks.adjust_network.starts.by_lengths import placed_by_lengths
 from metrocli.words import listed
@@ -194,7 +193,7 @@ def start(readings: NetworkReadings) -> NetworkStart:
     names set-ups that cannot be joined, and NotConvergedError for set-ups that contradict each other.
     """
     levelled = np.array([readings.of(i).is_levelled for i in range(len(readings.stations.names))])
-    readings, given = _with_level_beams(readings), readings.points.listed
+    readings, given = with_level_beams(readings), readings.points.listed
     search = _Search(readings, given, levelled)
     search.run()
     begun = search.found()
@@ -206,15 +205,6 @@ def start(readings: NetworkReadings) -> NetworkStart:
     search.points = placed_by_lengths(readings, search.points)
     must_agree(readings, search.found())
     return search.found()
-
-
-def _with_level_beams(readings: NetworkReadings) -> NetworkReadings:
-    """Return the readings of a plane network, where nothing reads an elevation, with elevations of 0."""
-    seen = readings.sightings
-    if np.isfinite(seen.values[1]).any():
-        return readings
-    values = np.stack([seen.values[0], np.zeros_like(seen.values[1]), seen.values[2]])
-    return replace(readings, sightings=replace(seen, values=values))
 
 
 def _alone(readings: NetworkReadings, levelled: Mask) -> _Search:
@@ -253,6 +243,8 @@ def _level(search: _Search) -> None:
 def _onto_list(search: _Search, given: Array) -> None:
     """Move the frame onto the listed points, as far as they determine it."""
     both = np.isfinite(given).all(axis=1) & np.isfinite(search.points).all(axis=1)
+    known = both & np.isfinite(search.readings.points.sigma).all(axis=1)
+    both = known if known.sum() > 2 else both  # places without a sigma are rough
     if not both.any():
         return
     upright = bool(search.levelled.any()) or both.sum() < 3
@@ -275,8 +267,7 @@ def _must_be_joined(search: _Search) -> None:
     readings = search.readings
     seen = readings.sightings
     placed = np.isfinite(search.poses[:, 0])
-    lost = [i for i in np.unique(seen.station) if not placed[i]]
-    if lost:
+    if lost := [i for i in np.unique(seen.station) if not placed[i]]:
         lines = [f"  {readings.stations.names[i]}: {_reason(search, i)}" for i in lost]
         raise UndeterminedError("set-ups cannot be joined to the network:\n" + "\n".join(lines))
     open_points = np.unique(seen.point[np.isnan(search.points[seen.point]).any(axis=1)])
@@ -295,6 +286,6 @@ def _reason(search: _Search, station: int) -> str:
     need = 2 if search.levelled[station] else 3
     if len(shared) >= need:
         return f"the {len(shared)} points that it shares with the rest lie on a line; a point beside the line closes it"
-    word = "two points" if need == 2 else "three points that are not on a line"
     names = listed([search.readings.points.names[i] for i in shared]) or "no point"
+    word = "two points" if need == 2 else "three points that are not on a line"
     return f"it shares {names} with the rest; it needs {word} with azimuth, elevation and distance"
