@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from metrocli.adjust.solution import Solution
-from metrocli.arrays import Array, Index
+from metrocli.arrays import Array, Index, Mask
 from metrocli.geometry import poses
 from metrocli.result import SCALE as ABOUT_ONE
 from metrocli.result import Estimate, Result, ShownTable
@@ -29,13 +29,14 @@ def joined(problem: PointPairs, solution: Solution) -> Result:
     assert places is not None
     off = without_rounding(_deviations(problem, places, test), test.rounding)
     distance = np.sqrt((off**2).sum(axis=1))
-    size = float(np.sqrt((distance**2).mean()))
+    counts = np.bincount(places.of, minlength=len(places.names))
+    alone = _alone(places, counts)
+    size = float(np.sqrt((distance[~alone[places.of]] ** 2).mean()))
     statistics = basic_statistics(solution, {"mm": size}) | {"points": len(places.names)}
     if problem.estimated:
         statistics = with_noise(statistics, solution, {"noise": test.factor * problem.start_noise})
     estimates, covariance = _estimates(problem, test)
     known = test.solution.covariance_or_raise()
-    counts = np.bincount(places.of, minlength=len(places.names))
     shared = factors(known, PLACE, np.ones(len(counts), dtype=bool)) if test.factor else {}
     return Result(
         kind=KIND.name,
@@ -58,7 +59,7 @@ def joined(problem: PointPairs, solution: Solution) -> Result:
         arrays={POINTS_COVARIANCE: known.members(PLACE), **shared},
         warnings=tuple(warnings(problem, test)),
         shown=(ShownTable("points"),),
-        notes=(*notes(problem, test, size), *_alone(places, counts)),
+        notes=(*notes(problem, test, size), *_uncontrolled(places, alone)),
     )
 
 
@@ -108,8 +109,12 @@ def _estimates(problem: PointPairs, test: Tested) -> tuple[tuple[Estimate, ...],
     return tuple(Estimate(name, value, std, *unit) for (name, unit), value, std in numbers), covariance
 
 
-def _alone(places: Places, counts: Index) -> list[str]:
-    """Return a note on the points that a single station measured, and that no list has."""
-    alone = (counts == 1) & ~np.isfinite(places.spread.sigma).all(axis=1) & places.free.any(axis=1)
+def _alone(places: Places, counts: Index) -> Mask:
+    """Return which places a single station measured, and no list has, (m,)."""
+    return np.asarray((counts == 1) & ~np.isfinite(places.spread.sigma).all(axis=1) & places.free.any(axis=1))
+
+
+def _uncontrolled(places: Places, alone: Mask) -> list[str]:
     names = [places.names[i] for i in np.flatnonzero(alone)]
-    return [f"measured by one station only, so nothing controls them: {listed(names)}"] if names else []
+    text = "measured by one station only, so nothing controls them, and the root mean square is without them"
+    return [f"{text}: {listed(names)}"] if names else []
