@@ -4,7 +4,8 @@
 
 Twelve points of a part of some metres, turned and shifted at random, with 20 um of noise in each coordinate as
 declared. In a quarter of the cases each nothing is hidden, a growth of 40 um/m, a scale of one axis that is wrong by
-100 um/m, or a point that moved by 0.15 mm.
+100 um/m, or a point that moved by 0.15 mm. A point that moved along one axis is one wrong coordinate as well: a report
+that calls coordinates of this point wrong, and no others, names the place.
 """
 
 from __future__ import annotations
@@ -62,4 +63,4 @@ def cases(count: int) -> Iterator[tuple[str, tuple[str, str]]]:
 
 
 if __name__ == "__main__":
-    sys.exit(print_rates(cases(int(sys.argv[1]) if len(sys.argv) > 1 else COUNT)))
+    sys.exit(print_rates(cases(int(sys.argv[1]) if len(sys.argv) > 1 else COUNT), readings=True))

@@ -39,6 +39,15 @@ class PredictedPlaces:
         """Covariance of each place (n, 3, 3) mm^2."""
         return self.own + shared(self.common, self.core)
 
+    @property
+    def joint(self) -> Array:
+        """Covariance of all coordinates, point by point (3n, 3n) mm^2."""
+        n = len(self.values)
+        common, points = self.common.reshape(3 * n, -1), np.arange(n)
+        joint = common @ self.core @ common.T
+        joint.reshape(n, 3, n, 3)[points, :, points, :] += self.own
+        return np.asarray(joint)
+
     def of(self, rows: Index | Mask) -> PredictedPlaces:
         """Return some of the places."""
         return PredictedPlaces(self.values[rows], self.common[rows], self.core, self.own[rows])

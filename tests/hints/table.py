@@ -323,7 +323,10 @@ OF_NETWORKS, OF_MACHINES = "tasks/adjust_network/test_mistakes.py", "tasks/calib
 FITTING = (REFUSED, "test_gross_errors_alone_are_no_wrong_heading")
 RIGHT = (OF_NETWORKS, "test_nothing_is_proposed_for_readings_that_fit")
 SOUND = (OF_MACHINES, "test_right_settings_are_not_doubted")
+JOINED = "tasks/fit_points/test_joined.py"
 ELSEWHERE = {
+    "the points of station {} are a mirror image of the others": (
+        (JOINED, "test_what_cannot_be_joined_is_refused"), (JOINED, "test_stations_that_share_points")),
     "{} and {} are swapped": ((REFUSED, "test_a_list_with_a_wrong_heading_is_refused"), FITTING),
     "{} are in the order {}": ((REFUSED, "test_a_list_with_a_wrong_heading_is_refused"), FITTING),
     "{} has the wrong sign": ((REFUSED, "test_a_mirrored_list_is_refused"), FITTING),

@@ -335,7 +335,8 @@ def fit_points(effect: Effect) -> Model:
     nominal = measured @ rotation_of(pose).T + pose[:3]
     lists = [Table.of({"point": [f"P{i}" for i in range(30)], "x y z [mm]": places}) for places in (measured, nominal)]
     settings = FitSettings(FitInputs(points=Path("-"), nominal=Path("-")), noise=0.001)
-    return with_conditions(pairs_of(settings, FitFiles(*lists)).model(pose, 1.0))
+    pairs = pairs_of(settings, FitFiles(*lists))
+    return with_conditions(replace(pairs, start=(pose[None], np.ones(1))).model())
 
 
 MEASURED: dict[str, Measured] = {

@@ -106,12 +106,8 @@ def _with_covariance(known: KnownPoints, files: Files) -> KnownPoints:
 def _joint_of_result(known: KnownPoints, points: Result) -> KnownPoints:
     if POINTS_COVARIANCE not in points.arrays:
         return known
-    places, n = points_of(points), len(points.tables["points"])
-    common = places.common.reshape(3 * n, -1)
-    joint = common @ places.core @ common.T
-    for i in range(n):
-        joint[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] += places.own[i]
+    joint = points_of(points).joint
     if not (np.linalg.eigvalsh(joint) > 1e-9 * np.trace(joint) / len(joint)).all():
         return known
-    rows = np.arange(3 * n)
+    rows = np.arange(len(joint))
     return KnownPoints(known.names, known.listed, known.sigma, joint, (rows // 3, rows % 3))

@@ -14,13 +14,12 @@ from metrocli.frozen import dataclass
 from metrocli.result import Estimate, Result, ShownTable
 from metrocli.table import Table
 from metrocli.tasks.fit_points import KIND
-from metrocli.tasks.fit_points.settings import ESTIMATED
+from metrocli.tasks.fit_points.listed import listed_points, table_of
 from metrocli.tasks.shared.features.fit import least_squares
 from metrocli.tasks.shared.features.ideal import UNKNOWNS, IdealFeature
 from metrocli.tasks.shared.features.joint import Joint
 from metrocli.tasks.shared.features.report import COVARIANCE, FEATURES, SHOWN, estimates_of, exchanging, fitted
 from metrocli.tasks.shared.features.wanted import RequestedFeature
-from metrocli.tasks.shared.lists import sigmas
 from metrocli.tasks.shared.rounding import rounding_of
 from metrocli.units import sized
 
@@ -72,17 +71,11 @@ class FittedFeatures:
         )
 
 
-def as_measured(table: Table, noise: float | str) -> FeaturePoints:
-    """Return the points of a list with its standard deviations; `noise` is that of coordinates without one."""
-    sigma = own_sigma(table, noise)
+def as_measured(points: Table | Result, noise: float | str) -> FeaturePoints:
+    """Return the points of a list with their covariances; `noise` is that of coordinates without one."""
+    table, spread = listed_points(points)
     nothing = np.zeros((len(table), 3, 1))
-    return FeaturePoints(table, table.stacked("xyz"), np.eye(3) * sigma[:, None, :] ** 2, nothing, np.zeros((1, 1)))
-
-
-def own_sigma(table: Table, noise: float | str) -> Array:
-    """Return the standard deviations of measured coordinates (n, 3), nan where they are to be estimated."""
-    sigma = sigmas(table)
-    return sigma if noise == ESTIMATED else np.where(np.isfinite(sigma), sigma, float(noise))
+    return FeaturePoints(table, table.stacked("xyz"), spread.own(noise), nothing, np.zeros((1, 1)))
 
 
 def fitted_features(wanted: Sequence[RequestedFeature], points: FeaturePoints) -> FittedFeatures:
@@ -133,7 +126,7 @@ def _noise_of(feature: RequestedFeature, points: Array) -> tuple[float, int]:
     return noise if noise > rounding_of(points) else 0.0, dof
 
 
-def features_alone(wanted: Sequence[RequestedFeature], table: Table, noise: float | str) -> Result:
+def features_alone(wanted: Sequence[RequestedFeature], points: Table | Result, noise: float | str) -> Result:
     """Return the result of a job that lays features through its points as they were measured."""
-    empty = Result(KIND.name, "", (), np.zeros((0, 0)), {"points": len(table)})
-    return fitted_features(wanted, as_measured(table, noise)).added_to(empty, np.zeros((1, 0)))
+    empty = Result(KIND.name, "", (), np.zeros((0, 0)), {"points": len(table_of(points))})
+    return fitted_features(wanted, as_measured(points, noise)).added_to(empty, np.zeros((1, 0)))

@@ -1,21 +1,23 @@
 """The adjustment of a best fit: `X = s R x + d`, with the errors of both lists (generalised least squares).
 
 Measured points x are unknowns that their list observes, where it gives them a standard uncertainty. A coordinate of X
-is one reading. Chi-square is then that of the errors of both lists.
+is one reading, or, where X is an unknown place, a reading of zero of `s R x + d - X`. Chi-square is then that of the
+errors of both lists. Several stations have a transformation each.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import field
 
 import numpy as np
 
 from metrocli.adjust.model.blocks import Block, Space
-from metrocli.adjust.model.chain import Chain, LinkContext, Step
-from metrocli.adjust.model.groups import Group, priors
+from metrocli.adjust.model.chain import Chain
+from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Observations
 from metrocli.adjust.model.quantities import Quantity
-from metrocli.arrays import Array, Index
+from metrocli.arrays import Array, Index, Mask
 from metrocli.effects.model import Model, Place
 from metrocli.errors import InputError, UndeterminedError
 from metrocli.frozen import dataclass
@@ -23,15 +25,15 @@ from metrocli.geometry import poses
 from metrocli.instruments.frames import OutOf, PointOf
 from metrocli.table import Table
 from metrocli.tasks.fit_points.effects import SCALE
+from metrocli.tasks.fit_points.links import PLACE, Coordinate, FromPlace, Scaled
+from metrocli.tasks.fit_points.listed import Spread, listed_points
 from metrocli.tasks.fit_points.settings import ESTIMATED, Files, Settings
-from metrocli.tasks.shared.lists import refuse, sigmas
+from metrocli.tasks.shared.lists import refuse
 from metrocli.tasks.shared.rounding import rounding_of
 from metrocli.words import listed, nearest
 
 POINT, POSE = "point", "pose"
 AXES, PAIRS = ("x", "y", "z"), ("xy", "xz", "yz")
-_EXACT = 1e-5
-"""Standard uncertainty of an exact coordinate, relative to that of the points laid onto it"""
 _FEWEST, _ASKED = 3, 20
 """Points of a best fit, and names that are compared with those of the other list"""
 _REACH = 10.0
@@ -39,77 +41,113 @@ _REACH = 10.0
 
 
 @dataclass(frozen=True)
-class Scaled:
-    """Link from a point to `(1 + s) x`, s the only member of the block of scales."""
+class Places:
+    """Places in the nominal frame that are unknowns: those of points of several stations, or with covariances."""
 
-    takes = gives = Quantity.POINT_IN_PART
-    blocks = (SCALE,)
-
-    def step(self, value: Array, local: LinkContext) -> Step:
-        """Return `(1 + s) x` (3, n), with its derivatives by the point and by the scale."""
-        scale = 1.0 + float(local.members(SCALE)[0, 0])
-        return Step(scale * value, scale * np.eye(3)[:, :, None], {SCALE: value[:, None, :]})
-
-
-@dataclass(frozen=True)
-class Coordinate:
-    """Link to one coordinate of a point."""
-
-    axis: int
-    takes = Quantity.POINT_IN_MACHINE
-    gives = Quantity.LENGTH
-    blocks = ()
-
-    def step(self, value: Array, local: LinkContext) -> Step:
-        """Return the coordinate, (1, n), with its derivative."""
-        return Step(value[self.axis][None], np.eye(3)[self.axis][None, :, None])
+    names: tuple[str, ...]
+    values: Array
+    """(m, 3) as listed, or to start from"""
+    free: Mask
+    """(m, 3)"""
+    of: Index
+    """Place of each measured point, (n,)"""
+    spread: Spread
+    """Of the listed ones"""
 
 
 @dataclass(frozen=True)
 class PointPairs:
-    """Points that both lists have, with their standard deviations, nan where there are none."""
+    """Measured points with their nominal places, and how well both are known."""
 
     names: tuple[str, ...]
     measured: Array
     """(n, 3)"""
     nominal: Array
     """(n, 3), nan for a coordinate that is not used"""
-    measured_sigma: Array
+    spread: Spread
+    """Of the measured points"""
     nominal_sigma: Array
-    """0 is exact"""
+    """0 is exact, nan is unknown"""
     scale: bool
     noise: float | str
     list: Table
     """The list of measured points, also those that the nominal list lacks"""
+    list_spread: Spread
     warnings: tuple[str, ...] = ()
+    places: Places | None = None
+    stations: tuple[str, ...] = ("",)
+    station: Index = field(default_factory=lambda: np.zeros(1, dtype=np.intp))
+    """Of each measured point, (n,)"""
+    fixed: bool = False
+    """Whether the first station is the frame"""
+    start: tuple[Array, Array] = field(default_factory=lambda: (np.zeros((1, 6)), np.ones(1)))
+    """Pose and scale of each station, (stations, 6) and (stations,)"""
 
     @property
     def full(self) -> Index:
         """Rows of the points all of whose nominal coordinates are used."""
         return np.flatnonzero(np.isfinite(self.nominal).all(axis=1))
 
-    def model(self, pose: Array, scale: float) -> Model:
-        """Return the model at starting values, to which effects can be added."""
-        blocks = self._blocks(pose, scale)
+    @property
+    def keys(self) -> dict[str, tuple[str, ...]]:
+        """What names each measured point: its station, where there are several, and its name."""
+        points = {"point": self.names}
+        return points if self.joins is None else {"station": self._stations_of(self.station), **points}
+
+    @property
+    def keys_with_places(self) -> dict[str, tuple[str, ...]]:
+        """What names each measured point, then each place that is an unknown: its station is "nominal"."""
+        places = () if self.places is None else self.places.names
+        return {
+            key: (*names, *(places if key == "point" else ("nominal",) * len(places)))
+            for key, names in self.keys.items()
+        }
+
+    @property
+    def joins(self) -> Places | None:
+        """The places that join several stations; None where there is one."""
+        return self.places if self.stations != ("",) else None
+
+    def model(self) -> Model:
+        """Return the model at its start, to which effects can be added."""
+        blocks = self._blocks(*self.start)
         groups = self._groups(blocks)
         places = {"point": Place(self.names, POINT), "axis": Place(AXES), "pair": Place(PAIRS)}
         measured = tuple(group.name for group in groups if group.name in AXES)
         return Model(blocks, groups, measured=measured, places=places)
 
-    def _blocks(self, pose: Array, scale: float) -> dict[str, Block]:
-        extent = float(np.ptp(self.measured, axis=0).max()) or 1.0
+    @property
+    def _own(self) -> Mask:
+        """Which measured coordinates are unknowns that their list observes, (n, 3)."""
+        return self.spread.sigma > 0
+
+    def _stations_of(self, rows: Index) -> tuple[str, ...]:
+        return tuple(self.stations[i] for i in rows)
+
+    def _blocks(self, pose: Array, scale: Array) -> dict[str, Block]:
+        extent = self.extent
         reach = np.array([_REACH * extent] * 3 + [_REACH] * 3)
-        free = np.isfinite(self.measured_sigma) & (self.measured_sigma > 0)
-        blocks = (
-            Block(POINT, self.measured, ("x", "y", "z"), self.names, free, np.array(extent / 10), noun="point"),
-            Block(POSE, pose[None], poses.COLUMNS, reach=reach, space=Space.POSE),
-            Block(SCALE, np.array([[scale - 1.0]]), ("scale",), free=np.array(self.scale), reach=np.array(0.1)),
-        )
+        loose = (np.arange(len(self.stations)) > 0) | (not self.fixed)
+        names = tuple(" ".join(parts) for parts in zip(*self.keys.values(), strict=True))
+        near = np.array(extent / 10)
+        of_scale = (loose & self.scale)[:, None], np.array(0.1), Space.FLAT, "station"
+        blocks = [
+            Block(POINT, self.measured, AXES, names, self._own, near, noun="point"),
+            Block(POSE, pose, poses.COLUMNS, self.stations, loose[:, None], reach, Space.POSE, "station"),
+            Block(SCALE, (scale - 1.0)[:, None], ("scale",), self.stations, *of_scale),
+        ]
+        if self.places is not None:
+            known = self.places
+            blocks.append(Block(PLACE, known.values, AXES, known.names, known.free, near, noun="place"))
         return {block.name: block for block in blocks}
 
     def _groups(self, blocks: dict[str, Block]) -> tuple[Group, ...]:
-        """Return a group of readings for each axis, and what the list of measured points observes."""
-        return (*(group for axis in range(3) if (group := self._along(axis)) is not None), *self._known(blocks[POINT]))
+        """Return a group of readings for each axis, and what the lists observe."""
+        known = [*self.spread.shared_out[0].observing(blocks[POINT])]
+        if self.places is not None:
+            listed_places = self.places.spread
+            known += (listed_places if self.joins else listed_places.shared_out[0]).observing(blocks[PLACE])
+        return (*(group for axis in range(3) if (group := self._along(axis)) is not None), *known)
 
     def _along(self, axis: int) -> Group | None:
         rows: Index = np.flatnonzero(np.isfinite(self.nominal[:, axis]))
@@ -117,30 +155,39 @@ class PointPairs:
             return None
         whole = Quantity.POINT_IN_MACHINE
         links = (PointOf(POINT, Quantity.POINT_IN_PART), Scaled(), OutOf(POSE, Quantity.POINT_IN_PART, whole))
-        zero = np.zeros(rows.size, dtype=np.intp)
+        index = {POINT: rows, POSE: self.station[rows], SCALE: self.station[rows]}
+        away, readings = list[FromPlace](), self.nominal[rows, axis][None]
+        if self.places is not None:
+            away, readings = [FromPlace()], np.zeros((1, rows.size))
+            index[PLACE] = self.places.of[rows]
         return Group(
-            "xyz"[axis],
-            Chain((*links, Coordinate(axis))),
+            AXES[axis],
+            Chain((*links, *away, Coordinate(axis))),
             Observations(
-                self.nominal[rows, axis][None],
+                readings,
                 self.sigma[rows, axis][None],
-                {POINT: rows, POSE: zero, SCALE: zero},
-                keys={"point": tuple(self.names[i] for i in rows)},
-                components=("xyz"[axis],),
+                index,
+                keys={key: tuple(names[i] for i in rows) for key, names in self.keys.items()},
+                components=(AXES[axis],),
                 unit="mm",
             ),
         )
 
     @property
+    def extent(self) -> float:
+        """Largest extent of the measured points along an axis [mm]."""
+        return float(np.ptp(self.measured, axis=0).max()) or 1.0
+
+    @property
     def estimated(self) -> bool:
         """Whether a noise is estimated: where it is asked for and some coordinate has no standard uncertainty."""
-        bare = np.isnan(self.nominal_sigma) & ~(self.measured_sigma > 0) & np.isfinite(self.nominal)
+        bare = ~(self.nominal_sigma > 0) & ~self._own & np.isfinite(self.nominal)
         return self.noise == ESTIMATED and bool(bare.any())
 
     @property
     def start_noise(self) -> float:
         """A noise to begin with where it is estimated: a thousandth of the extent [mm]."""
-        return 1e-3 * (float(np.ptp(self.measured, axis=0).max()) or 1.0)
+        return 1e-3 * self.extent
 
     @property
     def rounding(self) -> float:
@@ -150,14 +197,14 @@ class PointPairs:
     @property
     def sigma(self) -> Array:
         """Standard deviation of each nominal coordinate as a reading, (n, 3)."""
-        free = np.isfinite(self.measured_sigma) & (self.measured_sigma > 0)
         noise = self.start_noise if self.noise == ESTIMATED else float(self.noise)
-        stated = np.where(np.isfinite(self.nominal_sigma), self.nominal_sigma, np.where(free, 0.0, noise))
-        least = _EXACT * np.where(free, self.measured_sigma, noise)
-        return np.maximum(stated, least)
-
-    def _known(self, block: Block) -> tuple[Group, ...]:
-        return tuple(priors(block, self.measured_sigma, block.free))
+        stated = np.where(self.nominal_sigma > 0, self.nominal_sigma, np.where(self._own, 0.0, noise)) ** 2
+        if self.places is not None and self.joins is None:  # their list observes them
+            free = self.places.free[self.places.of]
+            stated = np.where(free, self.places.spread.shared_out[1][self.places.of][:, None], stated)
+        # the part of the measured points, in the size that it has after the transformation
+        part = (self.spread.shared_out[1] * self.start[1][self.station] ** 2)[:, None]
+        return np.asarray(np.sqrt(stated + np.where(self._own, part, 0.0)))
 
 
 def problem_of(settings: Settings, files: Files) -> PointPairs:
@@ -165,8 +212,9 @@ def problem_of(settings: Settings, files: Files) -> PointPairs:
 
     Raises InputError for faults of the lists, UndeterminedError if fewer than three points are in both.
     """
-    points, nominal = files.points, files.nominal
-    assert nominal is not None
+    assert files.nominal is not None
+    points, spread = listed_points(files.points)
+    nominal, of_nominal = listed_points(files.nominal)
     places = {name: i for i, name in enumerate(nominal.texts("point"))}
     names = points.texts("point")
     rows = [i for i, name in enumerate(names) if name in places]
@@ -178,8 +226,8 @@ def problem_of(settings: Settings, files: Files) -> PointPairs:
             f"needs three that are not on a line{_spelt(*alone)}",
             0.0,
         )
-    sigma, of_nominal = sigmas(points), sigmas(nominal)
-    exact = (sigma[rows] == 0) & (of_nominal[of] == 0)
+    chosen, goals = np.array(rows), of_nominal.of(np.array(of))
+    exact = (spread.sigma[rows] == 0) & (goals.sigma == 0)
     if exact.any():
         text = "the point is exact in both lists (sigma 0), so nothing can be fitted to it"
         both = np.zeros(len(points), dtype=bool)
@@ -200,13 +248,22 @@ def problem_of(settings: Settings, files: Files) -> PointPairs:
         tuple(names[i] for i in rows),
         points.stacked("xyz")[rows],
         wanted,
-        np.where(sigma == 0, np.nan, sigma)[rows],
-        of_nominal[of],
+        spread.of(chosen),
+        goals.sigma,
         settings.scale,
         settings.noise,
         points,
+        spread,
         warnings,
+        _observed(tuple(names[i] for i in rows), wanted, goals) if goals.correlated else None,
+        station=np.zeros(len(rows), dtype=np.intp),
     )
+
+
+def _observed(names: tuple[str, ...], wanted: Array, spread: Spread) -> Places:
+    """Return nominal places as unknowns that their list observes."""
+    free = np.isfinite(wanted) & (spread.sigma > 0)
+    return Places(names, np.nan_to_num(wanted), free, np.arange(len(names)), spread)
 
 
 def _spelt(measured: Sequence[str], nominal: Sequence[str]) -> str:

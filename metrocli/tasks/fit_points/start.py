@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import combinations
 
 import numpy as np
 
 from metrocli.arrays import Array
+from metrocli.errors import InputError
 from metrocli.geometry import poses
 
 _MOST = 60
 """Points up to which exchanged names are sought"""
+_MIRRORED = 10.0
+"""A mirror image is refused that makes the deviations so many times smaller"""
 _BETTER = 100.0
 """An exchange of two names is named if it makes the squared deviations so many times smaller"""
 
@@ -41,6 +45,33 @@ def exchanged(points: Array, goals: Array, scaled: bool) -> tuple[int, int] | No
         order[[one, other]] = other, one
         best = min(best, (rms(points[order], goals, scaled), (one, other)))
     return best[1] if best[0] ** 2 * _BETTER < before**2 else None
+
+
+def mirrored(points: Array, goals: Array, names: Sequence[str], scaled: bool, station: str = "") -> float:
+    """Return the root mean square deviation of the mirror image [mm].
+
+    Raises InputError if it is far smaller than that of the points, or if that is with two names exchanged.
+    """
+    as_listed, other = rms(points, goals, scaled), mirrored_rms(points, goals, scaled)
+    if len(points) > 3 and other * _MIRRORED < as_listed:
+        if station:
+            raise InputError(
+                f"the points of station {station} are a mirror image of the others: mirrored, they fit to "
+                f"{other:.3g} mm (root mean square), and to {as_listed:.3g} mm as they are; turn the sign of an axis"
+            )
+        raise InputError(
+            "the measured points are a mirror image of the nominal ones: mirrored, they fit to "
+            f"{other:.3g} mm (root mean square), and to {as_listed:.3g} mm as they are; turn the sign of one axis "
+            "in one of the lists"
+        )
+    pair = exchanged(points, goals, scaled)
+    if pair is not None:
+        one, two = (names[i] for i in pair)
+        so = "without that the squared deviations are more than a hundred times smaller"
+        if station:
+            raise InputError(f"points {one} and {two} are exchanged at station {station}, or before it: {so}")
+        raise InputError(f"points {one} and {two} are exchanged in one of the lists: {so}")
+    return other
 
 
 def aligned_start(points: Array, nominal: Array, scaled: bool) -> tuple[Array, float]:

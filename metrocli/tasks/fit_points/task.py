@@ -18,27 +18,30 @@ from metrocli.result import Result
 from metrocli.tasks.fit_points.diagnosis import adjusted_job, covariates
 from metrocli.tasks.fit_points.effects import EFFECTS, PLACES
 from metrocli.tasks.fit_points.features import features_alone
-from metrocli.tasks.fit_points.problem import POSE, PointPairs, problem_of
+from metrocli.tasks.fit_points.joined import joined
+from metrocli.tasks.fit_points.listed import table_of
+from metrocli.tasks.fit_points.problem import PointPairs, problem_of
 from metrocli.tasks.fit_points.report import report
-from metrocli.tasks.fit_points.settings import Files, Settings
-from metrocli.tasks.fit_points.start import aligned_start, exchanged, mirrored_rms, rms, similarity
+from metrocli.tasks.fit_points.settings import Files, Settings, refuse_nothing_to_do
+from metrocli.tasks.fit_points.start import aligned_start, mirrored, similarity
+from metrocli.tasks.fit_points.stations import stations_of
 from metrocli.tasks.job import Job, Task
 from metrocli.tasks.shared.features.wanted import wanted_features
-
-_MIRRORED = 10.0
-"""A mirror image is refused that makes the deviations so many times smaller"""
 
 
 def run(job: Job[Settings, Files]) -> Result:
     """Return the best fit; raises InputError, UndeterminedError or NotConvergedError."""
-    settings, points = job.settings, job.files.points
-    wanted = wanted_features(settings.features, points, "points")
-    if job.files.nominal is None:
-        return features_alone(wanted, points, settings.noise)
-    problem = problem_of(settings, job.files)
-    mirrored = _of_the_mirror_image(problem)
-    solution, added = solved(problem, job.effects)
-    return report(problem, (solution, added), mirrored, wanted)
+    settings, files = job.settings, job.files
+    refuse_nothing_to_do(settings, files)
+    if files.stations:
+        problem = _of_stations(job)
+        return joined(problem, solved(problem)[0])
+    wanted = wanted_features(settings.features, table_of(files.points), "points")
+    if files.nominal is None:
+        return features_alone(wanted, files.points, settings.noise)
+    problem = _started(problem_of(settings, files))
+    mirror = _of_the_mirror_image(problem)
+    return report(problem, solved(problem, job.effects), mirror, wanted)
 
 
 def diagnosed(job: Job[Settings, Files]) -> AdjustedJob:
@@ -46,9 +49,14 @@ def diagnosed(job: Job[Settings, Files]) -> AdjustedJob:
 
     Raises the errors of `run`, InputError without nominal points, and UndeterminedError without degrees of freedom.
     """
+    if job.files.stations:
+        raise InputError(
+            "several stations at once cannot be diagnosed: `run` names the points that do not fit. To seek a cause, "
+            "lay one station onto the points of another"
+        )
     if job.files.nominal is None:
         raise InputError("only a best fit can be diagnosed: this job has no `nominal` points")
-    problem = problem_of(job.settings, job.files)
+    problem = _started(problem_of(job.settings, job.files))
     _of_the_mirror_image(problem)
     solution, added = solved(problem, job.effects)
     if solution.dof <= 0:
@@ -56,13 +64,16 @@ def diagnosed(job: Job[Settings, Files]) -> AdjustedJob:
     if problem.estimated:
         problem = replace(problem, noise=max(solution.sigma0 * problem.start_noise, problem.rounding))
         solution, added = solved(problem, job.effects)
-    model = problem.model(solution.blocks[POSE].values[0], 1.0)
-    return adjusted_job(replace(model, blocks=solution.blocks, groups=solution.groups, added=added))
+    return adjusted_job(replace(problem.model(), blocks=solution.blocks, groups=solution.groups, added=added))
 
 
 def check(job: Job[Settings, Files]) -> None:
     """Raise InputError that lists the faults of both lists, without computing."""
-    wanted_features(job.settings.features, job.files.points, "points")
+    refuse_nothing_to_do(job.settings, job.files)
+    if job.files.stations:
+        _of_stations(job)
+        return
+    wanted_features(job.settings.features, table_of(job.files.points), "points")
     if job.files.nominal is not None:
         problem_of(job.settings, job.files)
 
@@ -72,11 +83,7 @@ def solved(problem: PointPairs, wanted: Iterable[Wanted] = ()) -> tuple[Solution
 
     Raises InputError for effects that cannot act, UndeterminedError or NotConvergedError if it has no good solution.
     """
-    if len(problem.full) == len(problem.names):
-        pose, scale = similarity(problem.measured, problem.nominal, problem.scale)
-    else:
-        pose, scale = aligned_start(problem.measured, problem.nominal, problem.scale)
-    model = with_all(problem.model(pose, scale), wanted)
+    model = with_all(problem.model(), wanted)
     solution = adjust(model.blocks.values(), model.groups)
     if solution.undetermined or not solution.outcome.good:
         lines = [f"  undetermined: {combination}" for combination in solution.undetermined[:3]]
@@ -88,30 +95,27 @@ def solved(problem: PointPairs, wanted: Iterable[Wanted] = ()) -> tuple[Solution
     return solution, model.added
 
 
+def _of_stations(job: Job[Settings, Files]) -> PointPairs:
+    if job.effects:
+        raise InputError("`effects` are for the points of one station: leave them out, or the column 'station'")
+    return stations_of(job.settings, job.files)
+
+
+def _started(problem: PointPairs) -> PointPairs:
+    """Return the points of one station with its start."""
+    whole = len(problem.full) == len(problem.names)
+    pose, scale = (similarity if whole else aligned_start)(problem.measured, problem.nominal, problem.scale)
+    return replace(problem, start=(pose[None], np.array([scale])))
+
+
 def _of_the_mirror_image(problem: PointPairs) -> float:
     """Return the root mean square deviation of the mirror image [mm], nan where not all coordinates are used.
 
     Raises InputError if it is far smaller, or if it is with two names exchanged.
     """
-    rows = problem.full
-    if len(rows) < len(problem.names):
+    if problem.joins is not None or len(problem.full) < len(problem.names):
         return float("nan")
-    as_listed = rms(problem.measured, problem.nominal, problem.scale)
-    mirrored = mirrored_rms(problem.measured, problem.nominal, problem.scale)
-    if len(rows) > 3 and mirrored * _MIRRORED < as_listed:
-        raise InputError(
-            "the measured points are a mirror image of the nominal ones: mirrored, they fit to "
-            f"{mirrored:.3g} mm (root mean square), and to {as_listed:.3g} mm as they are; turn the sign of one axis "
-            "in one of the lists"
-        )
-    names = exchanged(problem.measured, problem.nominal, problem.scale)
-    if names is not None:
-        one, other = (problem.names[i] for i in names)
-        raise InputError(
-            f"points {one} and {other} are exchanged in one of the lists: with their names exchanged the squared "
-            "deviations are more than a hundred times smaller"
-        )
-    return mirrored if np.isfinite(mirrored) else float("nan")
+    return mirrored(problem.measured, problem.nominal, problem.names, problem.scale)
 
 
 TASK = Task(Files, run, check, diagnosed=diagnosed, effects=EFFECTS, places=PLACES, covariates=covariates)
