@@ -69,7 +69,7 @@ class _Setup:
     seen: list[tuple[int, int, str, str, float, dict[str, str]]] = field(default_factory=list)
 
 
-class _Keywords:
+class _NetworkFile:
     """Reads the sections of a file in their order."""
 
     def __init__(self, lines: TextLines) -> None:
@@ -218,7 +218,7 @@ def _rows(lines: TextLines) -> Iterator[tuple[int, list[str]]]:
 
 def files(lines: TextLines, wishes: ImportOptions) -> Imported:
     """Return points.csv, stations.csv and readings.csv; raises InputError that lists all faults."""
-    reader = _Keywords(lines)
+    reader = _NetworkFile(lines)
     reader.read()
     if reader.faults:
         raise InputError(shortened(reader.faults))
