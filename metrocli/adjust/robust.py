@@ -65,9 +65,10 @@ def robust_start(
     held = _reweighted(groups, {name: _least_absolute(share) for name, share in shares().items()})
     first = adjust(state.values(), held, datum, StoppingRule(limit=15, covariance=False))
     state = first.blocks
-    share = shares()
-    if first.outcome is Outcome.NO_START or max(one.max(initial=0.0) for one in share.values()) <= _GROSS:
+    # with one scale for all: a member that is lost as a whole hides behind its own
+    if first.outcome is Outcome.NO_START or max(_share(one, state).max(initial=0.0) for one in chosen) <= _GROSS:
         return dict(state)
+    share = shares()
     for turn in range(_ROUNDS):
         if is_short(_RESERVE):
             break
