@@ -58,7 +58,7 @@ def sentences(text: str) -> Iterator[str]:
 
 def prose(path: Path) -> str:
     """A page without code and tables, of which any number of rows is one word."""
-    return re.sub(r"(?:\bx\s+)+", "x ", NOT_PROSE.sub("x", path.read_text(encoding="utf-8")))
+    return re.sub(r"^(?:x\n)+", "x\n", NOT_PROSE.sub("x", path.read_text(encoding="utf-8")), flags=re.MULTILINE)
 
 
 def odd_words(text: str) -> list[str]:
