@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -32,11 +33,13 @@ def test_planned_poses_and_balls_give_what_is_promised(tmp_path: Path, metrocli:
     assert len((tmp_path / "balls.csv").read_text().splitlines()) == 4
     promised = (tmp_path / "errors.csv").read_text().splitlines()[1:]
     std = {row.split(",")[0]: float(row.split(",")[3]) for row in promised}
-    assert metrocli("simulate", path, "--out", tmp_path, "--force").code == 0
+    # the plan is an input of the simulation, which does not replace it
+    assert metrocli("simulate", path, "--out", tmp_path / "new").code == 0
+    shutil.copy(tmp_path / "new" / "probing.csv", tmp_path)
     file = load(path)
     result = calibrate_machine.run(calibrate_machine.TASK.job(file.settings, **read_inputs(file)))
     found = {one.name: one for one in result.estimates}
-    truth = json.loads((tmp_path / "truth.json").read_text())
+    truth = json.loads((tmp_path / "new" / "truth.json").read_text())
     assert set(std) == set(truth) == set(found)
     assert max(abs(found[name].std / std[name] - 1) for name in std) < 0.02
     z = np.array([(found[name].value - truth[name]) / found[name].std for name in std])
