@@ -29,9 +29,9 @@ _READINGS: dict[str, tuple[str, ...]] = {
     "*PLR3D": ("direction", "z-angle", "s-distance"),
 }
 _READ = "*INSTR with *POLAR, points, *TSTN with *V0, *ANGL, *ZEND, *DIST, *DHOR and *PLR3D are read"
-_ELLIPSOIDS = ("*RS2K", "*LEP", "*SPHE")
-_VALUES = ("TH", "THSE", "OBSE", "TRGT", "IH", "IHSE", "ICSE", "ID", "PPM", "DCOR", "TCSE")
-"""Flags that have a value"""
+_ELLIPSOIDS, _SIGMAS = ("*RS2K", "*LEP", "*SPHE"), ("SX", "SY", "SZ")
+_NUMBERS, _TEXTS = ("TH", "THSE", "OBSE", "IH", "IHSE", "ICSE", "PPM", "DCOR", "TCSE"), ("TRGT", "ID")
+"""Flags that have a value: a number, or a text"""
 _CC = 2 * pi / 4e6
 """A cc in rad"""
 
@@ -100,7 +100,7 @@ class _NetworkFile:
         elif key == "*POLAR" and len(words) > 4 and all(map(is_number, words[2:5])):
             height, spread, centring = map(float, words[2:5])
             self.instruments[words[0]], self.section = _Instrument(words[1], height, spread, centring), key
-        elif key == "*TSTN" and len(words) > 1 and words[1] in self.instruments:
+        elif key == "*TSTN" and len(words) > 1:
             self._setup(number, words)
         elif key == "*V0" and self.setups:
             self.rounds += 1
@@ -108,17 +108,18 @@ class _NetworkFile:
             self.section = key
         else:
             self.faults.append(self.lines.fault(f"{' '.join([key, *words[:2]])} is not read", number, _READ))
-            self.section = key
+            self.section = ""
 
     def _setup(self, number: int, words: list[str]) -> None:
-        flags, own = _flags(words[2:]), self.instruments[words[1]]
+        flags, own = self._flags(number, words[2:]), self.instruments.get(words[1], _Instrument("", 0.0, 0.0, 0.0))
+        if words[1] not in self.instruments:
+            hint = "*INSTR lists it as *POLAR, with its targets"
+            self.faults.append(self.lines.fault(f"'{words[1]}' is no instrument of this file", number, hint))
         if "IHFIX" not in flags:
             hint = "write IHFIX and IH with its height, or name the point of the instrument itself"
             self.faults.append(self.lines.fault("the height of the instrument is an unknown of LGC2", number, hint))
         if "ROT3D" in flags:
-            hint = (
-                "write the readings of a tracker that is not levelled as a table, with `levelled: false` of its station"
-            )
+            hint = "read its readings as a table, and give its instrument `type: tracker` in the job"
             self.faults.append(self.lines.fault("a station that is not levelled (ROT3D) is not read", number, hint))
         self.setups.append(_Setup(words[0], own, float(flags.get("IH", own.height) or 0)))
         self.rounds += 1
@@ -126,43 +127,64 @@ class _NetworkFile:
     def _row(self, number: int, words: list[str]) -> bool:
         """Read a line below a keyword; return whether it is one."""
         if self.section == "*POLAR":
-            return self._target(words)
+            return self._target(number, words)
         if self.section in _FIXED:
-            return self._point(words)
+            return self._point(number, words)
         elements = _READINGS.get(self.section)
         if elements is None:
             return True  # below what is not read, which is a fault of its own
         values = words[1 : 1 + len(elements)]
         if len(values) < len(elements) or not all(map(is_number, values)):
             return False
-        flags = _flags(words[1 + len(elements) :])
+        flags = self._flags(number, words[1 + len(elements) :])
         for element, value in zip(elements, values, strict=True):
             self.setups[-1].seen.append((number, self.rounds, element, words[0], float(value), flags))
         target = flags.get("TRGT", self.setups[-1].instrument.default)
-        if target not in self.setups[-1].instrument.targets:
+        known = self.setups[-1].instrument.targets
+        if known and target not in known:
             text = f"'{target}' is no target of the instrument"
             self.faults.append(self.lines.fault(text, number, "*POLAR lists its targets"))
         return True
 
-    def _target(self, words: list[str]) -> bool:
+    def _flags(self, number: int, words: list[str]) -> dict[str, str]:
+        """Return the flags of a line with their values; those without one have an empty text."""
+        found, rest = dict[str, str](), list(words)
+        while rest:
+            name = rest.pop(0).upper()
+            value = rest.pop(0) if name in (*_NUMBERS, *_TEXTS) and rest else ""
+            if name in _NUMBERS and (not is_number(value) or (name == "OBSE" and float(value) < 0)):
+                text = f"{name} has the value '{value}'"
+                self.faults.append(self.lines.fault(text, number, f"expected: {name} and a number"))
+                value = "0"
+            found[name] = value
+        return found
+
+    def _target(self, number: int, words: list[str]) -> bool:
         if len(words) < 11 or not all(map(is_number, words[1:11])):
             return False
         angle, zenith, distance, ppm, free, correction, _, centring, height, spread = map(float, words[1:11])
+        if min(angle, zenith, distance) <= 0:
+            text, hint = (
+                "a standard deviation of the target is not above zero",
+                "expected: those of angles and distance",
+            )
+            self.faults.append(self.lines.fault(text, number, hint))
         if free:
             self.notes.append(f"{words[0]}: the distance correction, an unknown there, is held at {correction:g} m")
         own = _Target(angle, zenith, distance, ppm, correction, centring, height, spread)
         list(self.instruments.values())[-1].targets[words[0]] = own
         return True
 
-    def _point(self, words: list[str]) -> bool:
-        flags = words[4:]
-        fixed = (name[1].lower() for name, value in zip(flags[::2], flags[1::2], strict=False) if value == "0")
-        held = {*_FIXED[self.section], *fixed}
-        if len(words) < 4 or not all(map(is_number, words[1:4])) or any(word.isalpha() for word in flags[1::2]):
+    def _point(self, number: int, words: list[str]) -> bool:
+        if len(words) < 4 or not all(map(is_number, words[1:4])):
             return False
-        if any(word != "0" for word in flags[1::2]) or any(word not in ("SX", "SY", "SZ") for word in flags[::2]):
-            self.notes.append(f"{words[0]}: its sigmas are left out: write them into points.csv")
-        self.points[words[0]] = ("".join(sorted(held)), words[1:4])
+        given = dict(zip(words[4::2], words[5::2], strict=False))
+        held = {name for name, value in given.items() if name in _SIGMAS and is_number(value) and not float(value)}
+        if len(held) < len(words[4:]) / 2:
+            hint = "take them out here, and write sigma_x_mm, sigma_y_mm, sigma_z_mm into points.csv"
+            self.faults.append(self.lines.fault("sigmas of a point other than 0 are not read", number, hint))
+        axes = {*_FIXED[self.section], *(name[1].lower() for name in held)}
+        self.points[words[0]] = ("".join(sorted(axes)), words[1:4])
         return True
 
     def network(self) -> Element:
@@ -198,15 +220,6 @@ def _cells(setup: _Setup, element: str, value: float, flags: dict[str, str], awa
         beside = (across if element == "direction" else hypot(across, up)) / (away or float("inf")) / _CC
         size = hypot(stated or (own.angle if element == "direction" else own.zenith), beside)
     return {"val": f"{value:.12g}", "stdev": f"{size:.10g}", **heights}
-
-
-def _flags(words: list[str]) -> dict[str, str]:
-    """Return the flags of a line with their values; those without one have an empty text."""
-    found, rest = dict[str, str](), list(words)
-    while rest:
-        name = rest.pop(0).upper()
-        found[name] = rest.pop(0) if name in _VALUES and rest else ""
-    return found
 
 
 def _rows(lines: TextLines) -> Iterator[tuple[int, list[str]]]:

@@ -112,6 +112,12 @@ def test_exact_points_hold_where_the_place_of_the_instrument_is_rough(tmp_path: 
         ("M0 45 100 2", "M0 45 100", "this is no line of *PLR3D"),
         ("M0 45 100 2", "M0 45 100 2 TRGT ccr", "'ccr' is no target of the instrument"),
         ("IHFIX", "ROT3D IHFIX", "not levelled"),
+        ("S TS IHFIX", "S TS2 IHFIX", "'TS2' is no instrument of this file"),
+        ("IH 0 IHSE", "IH high IHSE", "IH has the value 'high'"),
+        ("M0 45 100 2", "M0 45 100 2 TH x", "TH has the value 'x'"),
+        ("S 1 1 1", "S 1 1 1 SX 0.0 SY 0.5", "sigmas of a point other than 0 are not read"),
+        ("S 1 1 1", "S 1 1 1 APRICOV DIAG(1,2,3)", "sigmas of a point other than 0 are not read"),
+        ("prism 5 6 0.1", "prism 5 0 0.1", "a standard deviation of the target is not above zero"),
     ],
 )
 def test_what_is_not_read_is_named(old: str, new: str, words: str, tmp_path: Path, metrocli: Metrocli) -> None:
