@@ -51,6 +51,9 @@ def stations_of(settings: Settings, files: Files) -> PointPairs:
     refuse(points, {"a station measures, so no coordinate is exact (sigma 0)": (spread.sigma == 0).any(axis=1)})
     places, warnings = _places(points, files)
     names, station = _numbered(points.texts("station"))
+    if len(names) < 2 and files.nominal is None:
+        text = f"all points are of station {names[0]}: there is nothing to lay it onto"
+        raise InputError([points.fault(text, "name the `nominal` points, or give the points of another station")])
     given = StationPoints(names, places.names, points.stacked("xyz"), station, places.of, settings.scale)
     values, pose, scale = _joined(given, places.values, files.nominal is None)
     return PointPairs(

@@ -223,6 +223,8 @@ def test_what_cannot_be_joined_is_refused() -> None:
     rows[9], rows[11] = ("B", "P4", rows[9][2]), ("B", "P2", rows[11][2])
     with pytest.raises(InputError, match="points P4 and P2 are exchanged at station B"):
         fitted(station_table(rows))
+    with pytest.raises(InputError, match="all points are of station A: there is nothing to lay it onto"):
+        fitted(station_table([row for row in two_stations(place) if row[0] == "A"]))
     with pytest.raises(InputError, match="no coordinate is exact"):
         fitted(station_table(two_stations(place), **{"sigma [mm]": np.zeros(14)}))
 
