@@ -15,7 +15,7 @@ from metrocli.adjust.clusters.robust import STRUCTURED
 from metrocli.diagnosis.adjusted_job import AdjustedJob, Budget, Ordered
 from metrocli.diagnosis.correlated_error import CorrelatedError
 from metrocli.diagnosis.detectability import Detectability, design
-from metrocli.diagnosis.evidence.folds import gain_between, gains
+from metrocli.diagnosis.evidence.folds import gain_of_parts, gains
 from metrocli.diagnosis.evidence.gain import Gain
 from metrocli.diagnosis.evidence.identified import IdentifiedEffect, all_identified, identified
 from metrocli.diagnosis.evidence.measured_job import measurement_of
@@ -87,7 +87,7 @@ def diagnose(
     shifts = result_changes(first.measurement.job, names, fit, kept)
     correlated, repeats, scattered = correlated_errors(state), pure_error(state), random_effects(state)
     parts: list[Fixed | Random] = [*state.named, *(part for part in state.random if part.kind == SCATTER)]
-    whole = gain_between(state.minus(parts), state) if scattered else None
+    whole = gain_of_parts(state, parts) if scattered else None
     noise = noise_of(
         float(state.residual @ state.residual) if not state.random else state.white_squares, state.noise_freedoms
     )

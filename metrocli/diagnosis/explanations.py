@@ -11,12 +11,12 @@ from itertools import pairwise
 import numpy as np
 
 from metrocli.diagnosis.correlated_error import CorrelatedError
-from metrocli.diagnosis.evidence.folds import gain_between
+from metrocli.diagnosis.evidence.folds import gain_of_parts
 from metrocli.diagnosis.evidence.measurement import LENGTHS
 from metrocli.diagnosis.evidence.moves import effects
 from metrocli.diagnosis.evidence.parts import CORRELATED, EFFECT, SCATTER, Fixed, Random
 from metrocli.diagnosis.evidence.state import State
-from metrocli.diagnosis.evidence.weights import with_noise
+from metrocli.diagnosis.evidence.weights import ratios_in
 from metrocli.diagnosis.extended_fit import readings_kept, result_change, with_random_effect
 from metrocli.diagnosis.findings import Instead, RandomEffect, Unconfirmed
 from metrocli.diagnosis.linear.projection import READING
@@ -56,7 +56,7 @@ def _random_effect(state: State, number: int) -> RandomEffect:
         log_level_of(state.score + part.price - less.score) + float(np.log(len(m.scatters))),
         sum(family.columns.count for family in families),
         _as_likely(state, less),
-        gain_between(less, state),
+        gain_of_parts(state, [part]),
         0.0 if wider is None else result_change(m.job, wider),
     )
 
@@ -66,9 +66,7 @@ def _as_likely(state: State, less: State) -> tuple[Instead, ...]:
     candidates = []
     for number, (key, name, _) in enumerate(state.measurement.units):
         if key == READING and number not in state.measurement.noise:
-            ratio = less.ratio_of(number)
-            other = less.at(with_noise(less.measurement, {number: ratio}))
-            ahead = other.score - state.score
+            ahead = ratios_in(less, {number: less.ratio_of(number)})[0] - state.score
             if ahead > -AS_LIKELY:
                 candidates.append(Instead("noise", {READING: name}, float(np.exp(min(ahead, 700.0)))))
     return tuple(candidates)
@@ -84,8 +82,7 @@ def noise_instead(state: State, part: Fixed) -> tuple[Instead, ...]:
     for number, (key, name, rows) in enumerate(m.units):
         if where.get(key) == name and rows.sum() <= _MOST_ROWS * part.rank and number not in m.noise:
             less = state.minus([part])
-            other = less.at(with_noise(m, {number: max(less.ratio_of(number), AS_OTHERS)}))
-            ahead = other.score - state.score
+            ahead = ratios_in(less, {number: max(less.ratio_of(number), AS_OTHERS)})[0] - state.score
             if ahead > -_OF_A_PLACE:
                 noises.append(Instead("noise", {key: name}, float(np.exp(min(ahead, 700.0)))))
     return tuple(noises)
@@ -166,11 +163,10 @@ def with_shown(state: State) -> tuple[State, list[Unconfirmed]]:
     lost: list[Unconfirmed] = []
     for number in smooth(state):
         part = state.random[number]
-        less = state.minus([part])
-        if not (gain := gain_between(less, state)).shown:
+        if not (gain := gain_of_parts(state, [part])).shown:
             effect = _effect_of(state, part)
             lost.append(Unconfirmed(f"{effect.name} {effect.everywhere}", gain.log_score))
-            state = less
+            state = state.minus([part])
     return state, lost
 
 

@@ -11,10 +11,10 @@ from benchmarks.hidden import lengths
 from metrocli.cli.diagnosis_report import findings
 from metrocli.diagnosis import diagnose, extended_fit, verdict
 from metrocli.diagnosis.adjusted_job import AdjustedJob
-from metrocli.diagnosis.evidence import counting, moves
+from metrocli.diagnosis.evidence import moves
 from metrocli.diagnosis.evidence.measured_job import measurement_of
 from metrocli.diagnosis.evidence.prices import counted
-from metrocli.diagnosis.linear import memory
+from metrocli.diagnosis.linear import counting, memory
 from metrocli.errors import InputError
 
 DRIFT = {"rate": 3e-6}

@@ -18,7 +18,6 @@ from metrocli.adjust.model.quantities import Quantity
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.detectability import design
 from metrocli.diagnosis.diagnose import diagnose
-from metrocli.diagnosis.evidence.counting import effective_number_of_tests
 from metrocli.diagnosis.evidence.identified import determined
 from metrocli.diagnosis.evidence.measured_job import measurement_of
 from metrocli.diagnosis.evidence.measurement import Measurement
@@ -26,6 +25,7 @@ from metrocli.diagnosis.evidence.moves import moves
 from metrocli.diagnosis.evidence.search import forward
 from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.linear.candidates import families_of
+from metrocli.diagnosis.linear.counting import effective_number_of_tests
 from metrocli.diagnosis.linear.distributions import chi_interval, log_family, log_tail, noncentrality, single_level
 from metrocli.diagnosis.linear.linearised import linearised
 from metrocli.diagnosis.linear.quadratics import quadratic

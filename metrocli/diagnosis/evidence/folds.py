@@ -6,6 +6,7 @@ Method: docs/algorithms/evidence.md.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from typing import cast
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from metrocli.diagnosis.adjusted_job import Ordered
 from metrocli.diagnosis.evidence.gain import Gain, Held, gain_of
 from metrocli.diagnosis.evidence.held_out import Fold, Model, Train, folds_of
 from metrocli.diagnosis.evidence.identified import IdentifiedEffect
-from metrocli.diagnosis.evidence.parts import Fixed
+from metrocli.diagnosis.evidence.parts import Fixed, Random
 from metrocli.diagnosis.evidence.prices import FURTHER, OF_ALL
 from metrocli.diagnosis.evidence.state import State
 from metrocli.frozen import dataclass
@@ -77,6 +78,14 @@ class _Nested:
         if best <= (FURTHER if others.fixed else 0.0) or m.alternative(at).spot not in spots:
             return None
         return next((part for part in model.fixed if part.key == at), None) or m.effect(*at)
+
+
+def gain_of_parts(state: State, parts: Sequence[Fixed | Random]) -> Gain:
+    """Return the gain of some parts of a state, at the sizes with and without them, computed once."""
+    key = ("gain", *(part.key for part in parts))
+    if key not in state.held:
+        state.held[key] = gain_between(state.minus(parts), state)
+    return cast("Gain", state.held[key])
 
 
 def gain_between(before: State, after: State) -> Gain:

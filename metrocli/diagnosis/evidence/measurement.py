@@ -30,7 +30,7 @@ from metrocli.diagnosis.evidence.parts import (
     fixed,
 )
 from metrocli.diagnosis.evidence.prices import OF_ALL, OF_UNITS, PRIOR, Prices, price_of_variance
-from metrocli.diagnosis.linear.basis import Basis
+from metrocli.diagnosis.linear.basis import Basis, Columns, thin
 from metrocli.diagnosis.linear.candidates import Candidate, CandidateGroup, NotTested
 from metrocli.diagnosis.linear.projection import Linearised
 from metrocli.effects.covariates import kernel, least_length
@@ -156,7 +156,7 @@ class Measurement:
         return self.families[family].columns.whole([number], self.system.rows)[:, 0]
 
     @cached_property
-    def side_by_side(self) -> tuple[Array, dict[int, slice]]:
+    def side_by_side(self) -> tuple[Columns, dict[int, slice]]:
         """Whole columns of the families that are small enough, (rows, columns), and where those of each are."""
         rows, most = self.system.rows, _MOST_DENSE // self.system.rows
         parts, at, end = [np.zeros((rows, 0))], dict[int, slice](), 0
@@ -166,7 +166,7 @@ class Measurement:
                 parts.append(group.columns.whole(range(group.columns.count), rows).reshape(rows, -1))
                 at[family] = slice(end, end + size)
                 end += size
-        return np.concatenate(parts, axis=1), at
+        return thin(np.concatenate(parts, axis=1)), at
 
     @cached_property
     def held_of_families(self) -> dict[object, Array]:
@@ -187,7 +187,8 @@ class Measurement:
         """Return an effect at a place as fixed columns."""
         whole = self.whole(family, number)
         unknown = bool(self.families[family].unknown)
-        effect = fixed(whole, self.system.seen(whole), (family, number), 0.0, UNKNOWN if unknown else EFFECT)
+        gram = self.families[family].gram[number]
+        effect = fixed(whole, gram, (family, number), 0.0, UNKNOWN if unknown else EFFECT)
         return replace(effect, price=self.price_of(family, max(effect.rank, 1)))
 
     def price_of(self, family: int, rank: int) -> float:
@@ -196,15 +197,23 @@ class Measurement:
 
     def term(self, whole: Array, key: tuple[int, int], price: float) -> Fixed:
         """Return the whole columns of a term of a law (rows, factors) as fixed columns."""
-        return fixed(whole, self.system.seen(whole), key, price, TERM)
+        seen = self.system.seen(whole)
+        return fixed(whole, seen.T @ seen, key, price, TERM)
 
     def reading(self, number: int) -> Fixed:
         """Return the error of one reading as fixed columns."""
         rows = self.places[number][self.places[number] >= 0]
         whole = np.zeros((self.system.rows, len(rows)))
         whole[rows, np.arange(len(rows))] = 1.0
-        error = fixed(whole, self.system.seen(whole), (READINGS, number), 0.0, READING)
+        gram = np.eye(len(rows)) - self.system.basis.products(rows, rows)
+        error = fixed(whole, gram, (READINGS, number), 0.0, READING)
         return replace(error, price=self.prices.of_columns(READINGS, max(error.rank, 1)))
+
+    def correlation(self, first: Fixed, other: Fixed) -> Array:
+        """Return the products of what is visible of the errors of two readings, whose columns have the length 1."""
+        some, others = (self.places[part.number][self.places[part.number] >= 0] for part in (first, other))
+        same = (some[:, None] == others).astype(float)
+        return np.asarray(first.turn.T @ (same - self.system.basis.products(some, others)) @ other.turn)
 
     def correlated(self, number: int, length: float, unit: int) -> Random:
         """Return an error that is correlated over a covariate."""

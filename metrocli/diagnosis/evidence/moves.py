@@ -5,7 +5,7 @@ Method: docs/algorithms/evidence.md.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from itertools import islice
 
 import numpy as np
@@ -27,8 +27,10 @@ _AT_ONCE = 60
 """Wrong readings of one step, at most"""
 _APART = 0.3
 """Largest correlation of wrong readings that are taken in one step"""
-_ESTIMATES, _STAYS = 6, 1.03
+_ESTIMATES, _STAYS = 8, 1.03
 """Largest number of estimates of the noise of a group, and the ratio of two that ends them"""
+_NEARLY_NOISIER = AS_OTHERS**0.5
+"""Ratio from which a group is watched: beside those that enter, the noise of the others is smaller"""
 _STALE = 2.0
 """Gain from which the noise of a group is estimated anew: that of the others has changed since"""
 _MASKED, _TOGETHER = 2.0, 8
@@ -45,6 +47,8 @@ class Move:
     noise: Mapping[int, float] | None = None
     given: bool = False
     """Whether the noise is that of prior values, whose stated sigma is wrong"""
+    watched: tuple[int, ...] = ()
+    """Groups of the same kind, which enter with these if they are noisier beside them: no other move pays"""
 
     @property
     def is_cause(self) -> bool:
@@ -80,7 +84,7 @@ class Move:
         Other noise weights all candidates anew, which is left until the move is chosen.
         """
         if self.noise is not None:
-            score, ratios = _settled(state, self.noise)
+            score, ratios = _settled(state, self.noise, self.watched)
             return score, lambda: state.at(with_noise(state.measurement, ratios)) if ratios else state
         made = self.made(state)
         return made.score, lambda: made
@@ -94,15 +98,15 @@ class Move:
         return state.plus(self.fixed)
 
 
-def _settled(state: State, noise: Mapping[int, float]) -> tuple[float, dict[int, float]]:
+def _settled(state: State, noise: Mapping[int, float], watched: Sequence[int]) -> tuple[float, dict[int, float]]:
     """Return the score with the noise of variance groups, estimated until it stays, and their ratios."""
     best, held, tried = state.score if state.measurement.noise else -np.inf, dict[int, float](), dict(noise)
     for _ in range(_ESTIMATES):
-        score, after = ratios_in(state, tried)
+        score, after, others = ratios_in(state, tried, [number for number in watched if number not in tried])
         if score < best:
             break
-        best, held, tried = score, tried, after
-        if all(1 / _STAYS < tried[number] / ratio < _STAYS for number, ratio in held.items()):
+        best, held, tried = score, tried, after | others
+        if not others and all(1 / _STAYS < tried[number] / ratio < _STAYS for number, ratio in held.items()):
             break
     return best, held
 
@@ -114,20 +118,22 @@ def moves(state: State, quiet: set[int] | None = None) -> list[Move]:
     if sum(part.kind == CORRELATED for part in state.random) < _CORRELATED:
         random += correlated_errors(state, quiet)
     found += [Move(entering.net, found=entering) for entering in random]
-    found += _noise(state)
+    found += _noise(state, alone=all(move.net <= 0 for move in found))
     return sorted((move for move in found if move.net > -1), key=lambda move: -move.net)
 
 
-def _noise(state: State) -> list[Move]:
+def _noise(state: State, alone: bool) -> list[Move]:
     """Return the variance groups of one step that are noisier, of given values and of readings.
 
-    They are the most certain, and those of its kind nearly as certain.
+    They are the most certain, and those of its kind nearly as certain; all of its kind where no other move pays, which
+    then stand `alone`.
     """
     kinds, known = [unit[0] for unit in state.measurement.units], state.measurement.noise
     # one of many units that is quieter than the others is no cause for anything
+    every = noisier_groups(state)
     groups = [
         group
-        for group in noisier_groups(state)
+        for group in every
         if (group[0] > _STALE if group[1] in known else group[0] > 0)
         and (
             group[2] > AS_OTHERS
@@ -139,7 +145,11 @@ def _noise(state: State) -> list[Move]:
     for given in (True, False):
         own = [group for group in groups if (kinds[group[1]] == DECLARED_SIGMA) == given]
         alike = [one for one in own if kinds[one[1]] == kinds[own[0][1]] and one[0] > own[0][0] / 2]
-        found += [Move(own[0][0], noise={number: ratio for _, number, ratio in alike}, given=given)] if own else []
+        if own:
+            noise, kind = {number: ratio for _, number, ratio in alike}, kinds[own[0][1]]
+            near = (number for _, number, ratio in every if alone and kinds[number] == kind and ratio > _NEARLY_NOISIER)
+            others = tuple(number for number in near if number not in noise and number not in known)
+            found.append(Move(own[0][0], noise=noise, given=given, watched=others))
     return found
 
 
@@ -189,8 +199,7 @@ def readings(state: State) -> list[Move]:
     chosen: list[Fixed] = []
     for i in (i for i in order if t[i] > t[order[0]] / 4):
         error = m.reading(i)
-        seen = m.system.seen(error.columns) if chosen else error.columns
-        if all(np.abs(other.columns.T @ seen).max(initial=0.0) < _APART for other in chosen):
+        if all(np.abs(m.correlation(other, error)).max(initial=0.0) < _APART for other in chosen):
             chosen.append(error)
     _must_be_held(state, len(chosen))
     return [Move(float(net[order[0]]), tuple(chosen))] if chosen else []

@@ -72,10 +72,10 @@ class Random:
     """Size of what it stands for at a coefficient of 1: a parameter of an effect, or the declared noise"""
 
 
-def fixed(whole: Array, seen: Array, key: tuple[int, int], price: float, sort: str = EFFECT) -> Fixed:
-    """Return fixed columns of whole signatures (rows, q), whose visible parts are `seen`: those that are seen apart."""
-    size = np.maximum(np.linalg.norm(seen, axis=0), 1e-300)
-    values, vectors = np.linalg.eigh((seen / size).T @ (seen / size))
+def fixed(whole: Array, gram: Array, key: tuple[int, int], price: float, sort: str = EFFECT) -> Fixed:
+    """Return the columns that are seen apart of whole ones (rows, q), whose visible parts have products `gram`."""
+    size = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    values, vectors = np.linalg.eigh(gram / size / size[:, None])
     kept = values > _SEEN**2 * max(float(values[-1]), 1e-300)
     turn = vectors[:, kept] / np.sqrt(values[kept]) / size[:, None]
     return Fixed(*key, whole @ turn, turn, price, sort)

@@ -11,8 +11,8 @@ from dataclasses import field
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
-from metrocli.diagnosis.evidence.counting import effective_number_of_tests, of_some_members, smallest_of_family
 from metrocli.diagnosis.linear.candidates import CandidateGroup
+from metrocli.diagnosis.linear.counting import effective_number_of_tests, of_some_members, smallest_of_family
 from metrocli.diagnosis.linear.distributions import critical, log_family, single_level
 from metrocli.diagnosis.linear.projection import Linearised
 from metrocli.frozen import dataclass

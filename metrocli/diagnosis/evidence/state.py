@@ -18,7 +18,7 @@ from metrocli.diagnosis.evidence.parts import READINGS, Fixed
 from metrocli.diagnosis.evidence.prices import FURTHER, OF_ALL, gain_of_columns
 from metrocli.diagnosis.evidence.products import NEVER_HELD, local_columns, local_part, shared_parts
 from metrocli.diagnosis.evidence.scored import Scored
-from metrocli.diagnosis.linear.basis import Basis
+from metrocli.diagnosis.linear.basis import Basis, Columns, squared
 from metrocli.diagnosis.linear.quadratics import quadratic
 from metrocli.frozen import dataclass
 
@@ -124,15 +124,21 @@ class State(Scored):
 
     def absorbed(self, rows: Index | Mask | slice = slice(None)) -> Array:
         """Return the share of each reading that the state absorbs."""
+        return self._absorbed[rows]
+
+    @cached_property
+    def _absorbed(self) -> Array:
         if not self.members_are_free:
-            return self.basis.squares(rows)
-        held, entered = self.measurement.held, self.entered[rows]
+            return self.basis.squares()
+        held = self.measurement.held
         if "absorbed" not in held:
             held["absorbed"] = self.measurement.system.basis.squares()
-        return np.asarray(held["absorbed"][rows] + np.einsum("rk,rk->r", entered, entered))
+        return np.asarray(held["absorbed"] + np.einsum("rk,rk->r", self.entered, self.entered))
 
     def products(self, rows: Index) -> Array:
         """Return the products of what the state takes of rows (n, a), -1 for none, with each other, (n, a, a)."""
+        if rows.ndim == 2 and rows.shape[1] == 1:
+            return np.where(rows >= 0, self._absorbed[rows], 0.0)[:, :, None]
         if not self.members_are_free:
             return self.basis.products(rows, rows)
         m = self.measurement
@@ -149,9 +155,21 @@ class State(Scored):
         """Return the standard deviation of a variance group relative to that of all other readings."""
         rows = self.measurement.units[group][2]
         own = float(rows.sum()) - float(self.absorbed(rows).sum())
-        squares = float((self.residual[rows] ** 2).sum())
-        rest = max(self.freedoms - own, 1.0)
-        return float(np.sqrt(max(squares, 1e-300) / max(own, 1e-9) / (max(self.fit.squares - squares, 1e-300) / rest)))
+        return self.own_noise(own, float((self.residual[rows] ** 2).sum()))[0]
+
+    def own_noise(self, freedoms: float, squares: float) -> tuple[float, float]:
+        """Return the standard deviation of readings of some freedoms and squares relative to all others, and its gain.
+
+        With nu_u freedoms and squares S_u of these, of nu and S in all, it is
+        `(nu ln(S/nu) - nu_u ln(S_u/nu_u) - (nu - nu_u) ln((S - S_u)/(nu - nu_u)))/2` (Bartlett).
+        """
+        dof, every = self.freedoms, self.fit.squares
+        own = max(squares, 1e-300) / max(freedoms, 1e-9)
+        others = max(every - squares, 1e-300) / max(dof - freedoms, 1.0)
+        ratio = float(np.sqrt(own / others))
+        if min(freedoms, dof - freedoms) < 1 or not 0 < squares < every:
+            return ratio, 0.0
+        return ratio, float(dof * np.log(every / dof) - freedoms * np.log(own) - (dof - freedoms) * np.log(others)) / 2
 
     def left(self, family: int) -> tuple[Array, Array]:
         """Return the Gram matrices of the alternatives of a family, and their products with the residual."""
@@ -173,8 +191,8 @@ class State(Scored):
                     taken, 1, 2
                 )
             self.held[family] = gram, right
-        gram, right = self.held[family]
-        return gram, right
+        found: tuple[Array, Array] = self.held[family]
+        return found
 
     def _of_columns(self, family: int) -> Array:
         """Return what entered along the columns of a family, (k, alternatives, parameters)."""
@@ -184,12 +202,12 @@ class State(Scored):
     @cached_property
     def _along(self) -> Array:
         """Coordinates of the small families in what the state takes, and last their products with the residual."""
-        (dense, _), held = self.measurement.side_by_side, self.measurement.held_of_families
+        (every, _), held = self.measurement.side_by_side, self.measurement.held_of_families
         free = self.members_are_free
-        taken = self.within("side by side", lambda x: x.T @ dense, held) if free else self._inside(dense)
-        return np.concatenate([taken, (dense.T @ self.residual)[None]])
+        taken = self.within("side by side", lambda x: (every.T @ x).T, held) if free else self._inside(every)
+        return np.concatenate([taken, (every.T @ self.residual)[None]])
 
-    def _inside(self, columns: Array) -> Array:
+    def _inside(self, columns: Columns) -> Array:
         """Return coordinates c of columns (rows, k), (any, k): `columns' P columns` is `columns' columns - c' c`."""
         (order, begins), basis = self.measurement.by_member, self.basis
         parts = [basis.shared.T @ columns]
@@ -197,18 +215,17 @@ class State(Scored):
             parts.append(basis.local[rows].T @ columns[rows])
         return np.concatenate(parts)
 
-    def gram(self, name: object, columns: Array) -> Array:
+    def gram(self, name: object, columns: Columns) -> Array:
         """Return `columns' P columns` of columns (rows, k); what does not depend on the state is computed once."""
         held = self.measurement.held
         if not self.members_are_free:
             if ("whole", name) not in held:
-                held["whole", name] = columns.T @ columns
+                held["whole", name] = squared(columns)
             inside = self._inside(columns)
             return np.asarray(held["whole", name] - inside.T @ inside)
         if ("visible", name) not in held:
-            inside = self.measurement.system.basis.coordinates(columns)
-            held["visible", name] = columns.T @ columns - inside.T @ inside
-        inside = self.within(name, lambda x: x.T @ columns)
+            held["visible", name] = squared(columns) - self.measurement.system.basis.absorbed_of(columns)
+        inside = self.within(name, lambda x: (columns.T @ x).T)
         return np.asarray(held["visible", name] - inside.T @ inside)
 
     def taken_by(self, part: Fixed) -> Array:

@@ -16,6 +16,7 @@ from metrocli.adjust.model.observations import Mask
 from metrocli.diagnosis.evidence.measurement import LENGTHS, Measurement
 from metrocli.diagnosis.evidence.parts import CORRELATED, LARGEST, SCATTER, Random
 from metrocli.diagnosis.evidence.state import State
+from metrocli.diagnosis.linear.basis import thin
 from metrocli.diagnosis.noise import DECLARED_SIGMA
 from metrocli.frozen import dataclass
 
@@ -197,7 +198,7 @@ def scattered_effects(state: State) -> list[Found]:
         if number in held:
             continue
         if (SCATTER, number) not in m.held:
-            m.held[SCATTER, number] = m.scatter(number).columns
+            m.held[SCATTER, number] = thin(m.scatter(number).columns)
         columns = m.held[SCATTER, number]
         d, vectors = np.linalg.eigh(state.gram((SCATTER, number), columns))
         along = (vectors.T @ (columns.T @ state.residual)) ** 2 / np.maximum(d, 1e-300)
@@ -211,15 +212,12 @@ def scattered_effects(state: State) -> list[Found]:
 def noisier_groups(state: State) -> list[tuple[float, int, float]]:
     """Return the variance groups with quick net gains of a variance of their own: net, number, ratio of deviations.
 
-    With nu_u = tr P_uu freedoms and squares S_u in the group, of nu and S in all, the gain is
-    `(nu ln(S/nu) - nu_u ln(S_u/nu_u) - (nu - nu_u) ln((S - S_u)/(nu - nu_u)))/2` (Bartlett). Values that are given
-    (priors) have few freedoms, which their weight changes: theirs is that of one more variance.
+    Values that are given (priors) have few freedoms, which their weight changes: theirs is that of one more variance.
     """
     m, found = state.measurement, []
     if len(m.units) < 2:
         return []
     taken, r = state.absorbed(), state.residual
-    dof, squares = state.freedoms, state.fit.squares
     for number, (kind, _, rows) in enumerate(m.units):
         # a group that has its own noise already costs nothing more
         price = 0.0 if number in m.noise else m.price_of_noise
@@ -230,10 +228,9 @@ def noisier_groups(state: State) -> list[tuple[float, int, float]]:
                 continue
         own = float(rows.sum()) - float(taken[rows].sum())
         s = float(r[rows] @ r[rows])
-        rest, left = dof - own, squares - s
-        if own >= 1 and rest >= 1 and left > 0 and s > 0:
-            gain = (dof * np.log(squares / dof) - own * np.log(s / own) - rest * np.log(left / rest)) / 2
-            found.append((gain - price, number, float(np.sqrt(s / own / (left / rest)))))
+        ratio, gain = state.own_noise(own, s)
+        if gain:
+            found.append((gain - price, number, ratio))
     return sorted(found, reverse=True)
 
 

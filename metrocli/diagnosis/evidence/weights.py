@@ -5,17 +5,20 @@ Method: docs/algorithms/evidence.md.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
+from metrocli.diagnosis.evidence.likelihood import likeliest
 from metrocli.diagnosis.evidence.measurement import Measurement
 from metrocli.diagnosis.evidence.parts import Knots
+from metrocli.diagnosis.evidence.reweighted import Reweighted
 from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.linear.candidates import CandidateGroup
 from metrocli.diagnosis.linear.projection import Linearised
+from metrocli.diagnosis.noise import AS_OTHERS
 
 _ROUNDING = 1e-9
 
@@ -37,18 +40,34 @@ def with_noise(measurement: Measurement, ratios: Mapping[int, float]) -> Measure
     )
 
 
-def ratios_in(state: State, ratios: Mapping[int, float]) -> tuple[float, dict[int, float]]:
+def ratios_in(
+    state: State, ratios: Mapping[int, float], watched: Sequence[int] = ()
+) -> tuple[float, dict[int, float], dict[int, float]]:
     """Return the score of a state whose variance groups have other noise, and their ratios to the noise after that.
 
-    Its parts are those of the state, with other weights: candidates are not looked at.
+    Last are the ratios of those that are watched and have a noise of their own beside these. Its parts are those of
+    the state, with other weights: candidates are not looked at. Only the rows of these groups are computed anew.
     """
     m = state.measurement
-    factor = _factor(m, ratios)
-    own = _system_weighted(m, ratios, factor)
-    fixed = [replace(part, columns=part.columns * factor[:, None]) for part in state.fixed]
-    random = [replace(part, columns=part.columns * factor[:, None]) for part in state.random]
-    after = State.of(own, fixed, random, state.logs)
-    return after.score, {number: ratio * after.ratio_of(number) for number, ratio in ratios.items()}
+    factor, looked_at = _factor(m, ratios), np.zeros(m.system.rows, dtype=bool)
+    for number in (*ratios, *watched):
+        looked_at |= m.units[number][2]
+    rows = np.flatnonzero(looked_at)
+    other = Reweighted.of(state, rows, factor[rows])
+    own = replace(m, noise=_noise_after(m, ratios), log_scale=m.log_scale + other.log_scale)
+    fit = likeliest(other.products, state.logs, np.array([part.most for part in state.random]))
+    after = State(own, state.fixed, state.random, fit)
+    absorbed, residual = other.left(fit)
+    found, others = dict[int, float](), dict[int, float]()
+    for number in (*ratios, *watched):
+        there = m.units[number][2][rows]
+        freedoms = float(there.sum()) - float(absorbed[there].sum())
+        ratio, gain = after.own_noise(freedoms, float((residual[there] ** 2).sum()))
+        if number in ratios:
+            found[number] = ratios[number] * ratio
+        elif gain > m.price_of_noise and ratio > AS_OTHERS:
+            others[number] = ratio
+    return after.score, found, others
 
 
 def _factor(measurement: Measurement, ratios: Mapping[int, float]) -> Array:
@@ -63,20 +82,24 @@ def _system_weighted(measurement: Measurement, ratios: Mapping[int, float], fact
     system = measurement.system
     basis, log_det = system.basis.weighted(factor)
     bare = replace(system, basis=basis, scale=system.scale / factor)
-    known = dict(measurement.noise)
-    for number, ratio in ratios.items():
-        known[number] = known.get(number, 1.0) * ratio
-        if abs(known[number] - 1) < _ROUNDING:
-            del known[number]
     return replace(
         measurement,
         system=replace(bare, residual=bare.seen(system.residual * factor)),
-        noise=known,
+        noise=_noise_after(measurement, ratios),
         unweighted=measurement.unweighted or measurement,
         log_scale=measurement.log_scale + float(np.log(factor).sum()) - log_det / 2,
         held={},
         fits={},
     )
+
+
+def _noise_after(measurement: Measurement, ratios: Mapping[int, float]) -> dict[int, float]:
+    known = dict(measurement.noise)
+    for number, ratio in ratios.items():
+        known[number] = known.get(number, 1.0) * ratio
+        if abs(known[number] - 1) < _ROUNDING:
+            del known[number]
+    return known
 
 
 def _weighted(family: CandidateGroup, system: Linearised, factor: Array) -> CandidateGroup:

@@ -10,7 +10,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from metrocli.diagnosis.evidence.counting import LEAST_TESTS
 from metrocli.diagnosis.evidence.measurement import Measurement
 from metrocli.diagnosis.evidence.parts import Fixed
 from metrocli.diagnosis.evidence.prices import Prices
@@ -18,6 +17,7 @@ from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.laws.library import Library, Term, Where
 from metrocli.diagnosis.laws.terms import STEPS
 from metrocli.diagnosis.linear.basis import grams_of
+from metrocli.diagnosis.linear.counting import LEAST_TESTS
 from metrocli.diagnosis.linear.quadratics import quadratic
 from metrocli.frozen import dataclass
 

@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from functools import cached_property
 from itertools import combinations_with_replacement, pairwise
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
@@ -24,6 +24,10 @@ from metrocli.frozen import dataclass
 if TYPE_CHECKING:
     from scipy.sparse import csr_matrix
 
+Columns: TypeAlias = "Array | csr_matrix"
+"""Columns (rows, k), sparse where most of their numbers are zero"""
+_THIN = 0.05
+"""Share of numbers that are not zero below which columns are kept as a sparse matrix"""
 _FEW = 0.1
 """Share of the rows with a value below which these rows are gathered"""
 _LOOKED_AT = 1000
@@ -104,6 +108,13 @@ class Basis:
         else:
             parts = [self.coordinates(values)]
         return np.asarray(sum(grams_of(part) for part in parts))
+
+    def absorbed_of(self, columns: Columns) -> Array:
+        """Return `g' b b' g` of columns (rows, k), dense or sparse, (k, k)."""
+        if not isinstance(columns, np.ndarray):
+            return self.gram_of(columns)
+        inside = self.coordinates(columns)
+        return np.asarray(inside.T @ inside)
 
     def gram_of(self, columns: csr_matrix) -> Array:
         """Return `g' b b' g` of sparse columns (rows, k), (k, k): the products that the unknowns absorb."""
@@ -224,6 +235,19 @@ def without_gathering(rows: Index) -> Index | slice:
     first, last, step = int(rows[0]), int(rows[-1]), int(rows[1] - rows[0])
     even = step > 0 and last - first == step * (len(rows) - 1) and bool((np.diff(rows) == step).all())
     return slice(first, last + 1, step) if even else rows
+
+
+def thin(columns: Array) -> Columns:
+    """Return columns (rows, k) as a sparse matrix where few of their numbers are not zero, such as those of points."""
+    from scipy.sparse import csr_matrix
+
+    return csr_matrix(columns) if np.count_nonzero(columns) < _THIN * columns.size else columns
+
+
+def squared(columns: Columns) -> Array:
+    """Return the products of columns (rows, k), dense or sparse, with each other, (k, k)."""
+    found = columns.T @ columns
+    return np.asarray(found if isinstance(found, np.ndarray) else found.toarray())
 
 
 def rows_with_values(columns: Array) -> Index:

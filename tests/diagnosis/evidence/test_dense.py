@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from math import lgamma
 
@@ -19,7 +20,7 @@ from metrocli.diagnosis.evidence.prices import gain_of_columns
 from metrocli.diagnosis.evidence.products import local_columns
 from metrocli.diagnosis.evidence.refined import _with_alternative
 from metrocli.diagnosis.evidence.state import State
-from metrocli.diagnosis.evidence.weights import with_noise
+from metrocli.diagnosis.evidence.weights import ratios_in, with_noise
 
 Array = npt.NDArray[np.float64]
 BOARD, NETWORK = "board", "network"
@@ -128,6 +129,22 @@ def test_noise_of_a_group_has_the_likelihood_of_its_covariance(kind: str) -> Non
     prior = weighted.squares - float(weighted.system.residual @ weighted.system.residual)
     expected = -(m.dof * np.log(squares + prior) + log_det) / 2
     assert State.of(weighted).score + len(ratios) * m.price_of_noise == pytest.approx(expected, rel=1e-9)
+
+
+@pytest.mark.parametrize("kind", [BOARD, NETWORK])
+@pytest.mark.parametrize("count", [1, 3])
+def test_noise_on_trial_is_that_of_the_measurement_with_it(kind: str, count: int) -> None:
+    """Computed from the rows of the groups alone, with an error of each image and without."""
+    m, (fixed, random, logs) = measurement(kind), parts(kind)
+    state = State.of(m, fixed, random[:count], logs[:count])
+    score, ratios, watched = ratios_in(state, {0: 1.7, 2: 0.6}, [1])
+    weighted = state.at(with_noise(m, {0: 1.7, 2: 0.6}))
+    assert score == pytest.approx(weighted.score, abs=1e-6)
+    assert ratios[0] == pytest.approx(1.7 * weighted.ratio_of(0), rel=1e-6)
+    assert ratios[2] == pytest.approx(0.6 * weighted.ratio_of(2), rel=1e-6)
+    assert not watched
+    spoilt = replace(m, system=replace(m.system, residual=m.system.seen(m.system.residual * (1 + 3 * m.units[1][2]))))
+    assert set(ratios_in(State.of(spoilt, fixed), {0: 1.1}, [1, 3])[2]) == {1}
 
 
 def test_a_refined_value_is_known_without_the_weights_too() -> None:

@@ -1,0 +1,124 @@
+"""The products of a state after the weights of some rows have changed, from these rows alone.
+
+Weights `1 + d` of some rows change the products `Y'Y` of columns that are free of the local unknowns, whose orthonormal
+columns are L, member by member:
+
+    Y'Y + Y'DY - Y'DL (I + L'DL)^-1 L'DY
+
+D and all products on the right have these rows only. Method: docs/algorithms/evidence.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Array
+from metrocli.adjust.model.observations import Index
+from metrocli.diagnosis.evidence.likelihood import Fit, Products
+from metrocli.diagnosis.evidence.prices import PRIOR
+from metrocli.diagnosis.evidence.products import local_columns, shared_columns
+from metrocli.diagnosis.evidence.state import State
+from metrocli.frozen import dataclass
+
+
+@dataclass(frozen=True)
+class Reweighted:
+    """The products of a state after the weights of some rows have changed."""
+
+    products: Products
+    """With the shared unknowns"""
+    log_scale: float
+    """What the determinants of the covariance and of the local unknowns add to the likelihood"""
+    member: Index
+    """Local member of each of the rows, -1 if it has none, (rows,)"""
+    shared: Array
+    """What the local unknowns leave of the shared columns, and last of the residual, weighted, (rows, p + 1)"""
+    local: Array
+    """What they leave of the columns of single members, weighted, (rows, k)"""
+    absorbed: Array
+    """Share of each row that the local unknowns absorb, (rows,)"""
+
+    @classmethod
+    def of(cls, state: State, rows: Index, factor: Array) -> Reweighted:
+        """Return the products after some rows are multiplied by a factor, (rows,)."""
+        m, known = state.measurement, _with_unknowns(state)
+        residual = m.system.residual
+        columns = [m.system.basis.shared[rows]] if state.members_are_free else []
+        columns += [shared_columns(m, state.fixed, state.random, not state.members_are_free, rows)]
+        every = np.concatenate([*columns, residual[rows, None], local_columns(m, state.random)[rows]], axis=1)
+        p, weight = len(known.right), factor**2 - 1
+        basis = m.system.basis.of_members.at(rows)
+        member, shape = basis.member, (basis.members, basis.local.shape[1], every.shape[1])
+        lever = np.where(member[:, None] >= 0, basis.local, 0.0)
+        order = np.argsort(member, kind="stable")
+        begins = np.searchsorted(member[order], np.arange(basis.members + 1))
+        squared = np.eye(shape[1]) + _sums(lever[:, :, None] * (weight[:, None] * lever)[:, None, :], order, begins)
+        inside = basis.coordinates(weight[:, None] * every).reshape(shape)
+        solved = np.linalg.solve(squared, inside)
+        taken = inside[:, :, : p + 1].reshape(-1, p + 1).T @ solved[:, :, : p + 1].reshape(-1, p + 1)
+        change = every[:, : p + 1].T @ (weight[:, None] * every[:, : p + 1]) - taken
+        gram, right, squares = known.gram + change[:p, :p], known.right + change[:p, p], change[p, p]
+        squares, k = float(residual @ residual + squares), known.unknowns
+        # what the unknowns alone leave, of which the declared noise counts for a share
+        bare = squares - float(right[:k] @ np.linalg.solve(gram[:k, :k], right[:k]))
+        left = (every - basis.combined(np.asarray(solved.reshape(-1, shape[2]), dtype=float))) * factor[:, None]
+        absorbed = np.einsum("rq,rqs,rs->r", lever, np.linalg.inv(squared)[member], lever) if basis.members else 0.0
+        products = replace(
+            known,
+            gram=gram,
+            right=right,
+            squares=squares + PRIOR * min(1.0, bare / max(m.system.dof, 1)),
+        )
+        if shape[2] > p + 1:
+            at = m.system.basis.member[rows]
+            numbers, mixed, own = np.flatnonzero(np.bincount(at)), known.mixed.copy(), known.own.copy()
+            for number, some, w, x in zip(numbers, _parts(order, begins), inside, solved, strict=True):
+                grown = every[some, p + 1 :].T @ (weight[some, None] * every[some]) - w[:, p + 1 :].T @ x
+                mixed[number] += grown[:, : p + 1]
+                own[number] += grown[:, p + 1 :]
+            products, member = replace(products, own=own, mixed=mixed), at
+        scale = float(np.log(factor).sum()) - float(np.linalg.slogdet(squared)[1].sum()) / 2
+        return cls(products, scale, member, left[:, : p + 1], left[:, p + 1 :], absorbed * factor**2)
+
+    def left(self, fit: Fit) -> tuple[Array, Array]:
+        """Return the share of each row that a fit of the products absorbs, and its residual."""
+        from scipy.linalg import solve_triangular
+
+        x, absorbed = self.shared, self.absorbed
+        if self.local.shape[1]:
+            scaled = self.local * np.exp(fit.logs[fit.products.of_local] / 2)
+            errors = np.einsum("rk,rjk->rj", scaled, fit.half[self.member])
+            x = x - np.einsum("rk,rkp->rp", errors, fit.shown[self.member])
+            absorbed = absorbed + np.einsum("rk,rk->r", errors, errors)
+        if not len(fit.lower):
+            return absorbed, x[:, -1]
+        inside = solve_triangular(fit.lower, x[:, :-1].T, lower=True, check_finite=False)
+        return absorbed + np.einsum("pr,pr->r", inside, inside), x[:, -1] - x[:, :-1] @ fit.sizes
+
+
+def _parts(order: Index, begins: Index) -> Iterator[Index]:
+    return (order[a:b] for a, b in pairwise(begins))
+
+
+def _sums(values: Array, order: Index, begins: Index) -> Array:
+    """Return the sums of values (rows, ...) of each member; rows without a member come first in the order."""
+    if len(begins) < 2:
+        return np.zeros((0, *values.shape[1:]))
+    return np.asarray(np.add.reduceat(values[order], begins[:-1], axis=0))
+
+
+def _with_unknowns(state: State) -> Products:
+    """Return the products of a state with the shared unknowns, which are orthonormal, and free of the others."""
+    known = state.fit.products
+    if not state.members_are_free:
+        return known
+    k, p = state.measurement.system.basis.shared.shape[1], len(known.right)
+    gram = np.eye(k + p)
+    gram[k:, k:] = known.gram
+    of_shared = np.concatenate([np.full(k, -1), known.of_shared])
+    right, mixed = np.concatenate([np.zeros(k), known.right]), np.zeros((*known.mixed.shape[:2], k + p + 1))
+    return replace(known, gram=gram, right=right, unknowns=k, of_shared=of_shared, mixed=mixed, parts=())
