@@ -6,7 +6,7 @@ Method: docs/algorithms/evidence.md.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import field
+from dataclasses import field, replace
 from functools import cached_property
 from typing import Any, Self
 
@@ -195,7 +195,11 @@ class Scored:
         fixed = [measurement.reading(j) if i == READINGS else measurement.effect(i, j) for i, j in keys]
         if not random:
             return type(self).of(measurement, fixed)
-        return type(self).of(measurement, fixed, [remade(measurement, part) for part in self.random], self.logs)
+        here, there = self.measurement, measurement
+        if (here.unweighted or here) is not (there.unweighted or there):
+            return type(self).of(there, fixed, [remade(there, part) for part in self.random], self.logs)
+        factor = (there.weights / here.weights)[:, None]
+        return type(self).of(there, fixed, [replace(p, columns=p.columns * factor) for p in self.random], self.logs)
 
     def settled(self) -> Self:
         """Return the state with all sizes estimated until they stay."""

@@ -16,6 +16,7 @@ from metrocli.diagnosis.evidence.measurement import Measurement
 from metrocli.diagnosis.evidence.parts import Knots
 from metrocli.diagnosis.evidence.reweighted import Reweighted
 from metrocli.diagnosis.evidence.state import State
+from metrocli.diagnosis.linear.basis import squared
 from metrocli.diagnosis.linear.candidates import CandidateGroup
 from metrocli.diagnosis.linear.projection import Linearised
 from metrocli.diagnosis.noise import AS_OTHERS
@@ -34,7 +35,7 @@ def with_noise(measurement: Measurement, ratios: Mapping[int, float]) -> Measure
     weighted = own.system
     return replace(
         own,
-        families=tuple(_weighted(family, weighted, factor) for family in measurement.families),
+        families=_families(measurement, weighted, factor),
         scatters=tuple(tuple(_weighted(one, weighted, factor) for one in own) for own in measurement.scatters),
         knots=tuple(_knots(knot, weighted, factor) for knot in measurement.knots),
     )
@@ -100,6 +101,24 @@ def _noise_after(measurement: Measurement, ratios: Mapping[int, float]) -> dict[
         if abs(known[number] - 1) < _ROUNDING:
             del known[number]
     return known
+
+
+def _families(measurement: Measurement, system: Linearised, factor: Array) -> tuple[CandidateGroup, ...]:
+    """Return the families with other weights; the products of those that are small follow from all of them at once."""
+    from scipy.sparse import diags
+
+    every, at = measurement.side_by_side
+    every = every * factor[:, None] if isinstance(every, np.ndarray) else diags(factor) @ every
+    products = squared(every) - system.basis.absorbed_of(every)
+    found = []
+    for number, family in enumerate(measurement.families):
+        if number not in at:
+            found.append(_weighted(family, system, factor))
+            continue
+        columns, shape = family.columns.weighted(factor), (family.columns.count, family.columns.parameters)
+        own, each = products[at[number], at[number]].reshape(*shape, *shape), np.arange(shape[0])
+        found.append(replace(family, columns=columns, raw=columns.norms(), gram=own[each, :, each]))
+    return tuple(found)
 
 
 def _weighted(family: CandidateGroup, system: Linearised, factor: Array) -> CandidateGroup:

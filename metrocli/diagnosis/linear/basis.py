@@ -195,12 +195,24 @@ class Basis:
         own = np.where(there[:, None], np.einsum("rq,rpq->rp", local, inverse[self.member]), 0.0)
         bare = replace(self.of_members, local=own)
         shared = self.shared * factor[:, None]
-        shared -= bare.combined(bare.coordinates(shared))
+        # what is orthogonal to a member stays so where all its weights, or none, have changed alike
+        uneven = self._uneven(factor)
+        some = bare.at(uneven)
+        shared[uneven] -= some.combined(some.coordinates(shared[uneven]))
         if shared.shape[1]:
             lower = np.linalg.cholesky(shared.T @ shared)
             log_det += 2 * float(np.log(np.diag(lower)).sum())
             shared = solve_triangular(lower, shared.T, lower=True, overwrite_b=True, check_finite=False).T
         return replace(bare, shared=np.ascontiguousarray(shared)), log_det
+
+    def _uneven(self, factor: Array) -> Index:
+        """Return the rows of the members whose rows have different factors, (rows,)."""
+        low, high = np.full(self.members + 1, np.inf), np.zeros(self.members + 1)
+        np.minimum.at(low, self.member, factor)
+        np.maximum.at(high, self.member, factor)
+        uneven = high > low
+        uneven[-1] = False  # rows without a member
+        return np.flatnonzero(uneven[self.member])
 
     def rows(self, rows: Index) -> Array:
         """Return some rows of all columns, (rows, columns)."""
