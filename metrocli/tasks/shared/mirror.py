@@ -227,7 +227,8 @@ def _sums(of: Index, left: Array, right: Array, weight: Array, count: int) -> Ar
 def _planes(sights: NetworkLengths, lengths: Index) -> tuple[Array, Array, Array]:
     """Return unit normal (m, 3), relative thickness (m,) and centre (m, 3) of the plane nearest to each member's ends.
 
-    Coordinates that are given are no direction of the normal.
+    Coordinates that are given are no direction of the normal. Ends that are surely far from a plane have none: a
+    normal of zeros, and a thickness below the true one.
     """
     count = len(lengths)
     each = np.maximum(lengths, 1)[:, None]
@@ -238,9 +239,15 @@ def _planes(sights: NetworkLengths, lengths: Index) -> tuple[Array, Array, Array
     scatter[given[:, :, None] | given[:, None, :]] = 0.0
     largest = np.maximum(scatter.max(axis=(1, 2)), 1e-300)
     scatter[:, range(3), range(3)] += np.where(given, 1e3 * largest[:, None], 0.0)
-    values, vectors = np.linalg.eigh(scatter)
-    thin: Array = np.sqrt(np.maximum(values[:, 0], 0.0) / largest)
-    return vectors[:, :, 0], thin, np.asarray(centre)
+    # the product of the larger two eigenvalues is at most the square of half the trace: most members need no vectors
+    a, b, c = np.moveaxis(scatter, 2, 0)
+    trace = np.einsum("mii->m", scatter)
+    thin: Array = 2 * np.sqrt(np.maximum((np.cross(a, b) * c).sum(axis=1), 0.0) / largest) / np.maximum(trace, 1e-300)
+    normal = np.zeros((count, 3))
+    near = (thin < _FLAT) | (lengths <= 3)
+    values, vectors = np.linalg.eigh(scatter[near])
+    normal[near], thin[near] = vectors[:, :, 0], np.sqrt(np.maximum(values[:, 0], 0.0) / largest[near])
+    return normal, thin, np.asarray(centre)
 
 
 def _refined(sights: NetworkLengths, start: Array, noise: float) -> tuple[Array, Array]:
