@@ -66,6 +66,7 @@ PAIRS = (
         "fisheye, 100 views of 100 points: the same", "cameras", "ours_fisheye", "opencv_fisheye", 100,
         "opencv-python-headless", 1.0,
     ),
+    Pair("splined lens, 100 views of 100 points: whole commands", "splined", "ours", "mrcal", 100, "mrcal", 1.0),
     Pair(
         "13 real images of a board, whole command; peer: SB finder", "boards", "ours", "opencv_sb", 13,
         "opencv-python-headless", 1.0,
@@ -149,7 +150,7 @@ def measured(pair: Pair, runs: int) -> Row:
     """Run both in turn."""
     python = python_of(pair.package) if pair.installed else None
     there = python or environment_of(pair.package)
-    version = "" if pair.package in ("make", "Ceres") else version_of(pair.package, there)
+    version = "" if pair.package in ("make", "Ceres", "mrcal") else version_of(pair.package, there)
     ours, peer, agreement = [], [], ""
     for _ in range(runs):
         mine = once(sys.executable, pair.module, pair.ours, pair.size)

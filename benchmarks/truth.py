@@ -40,6 +40,7 @@ def campaigns(count: int) -> dict[str, list[str]]:
         "simulated networks": ["hidden_in_networks", str(count)],
         "simulated rotary axes": ["hidden_in_rotary_axes", f"{FIRST}-{FIRST + count - 1}"],
         "lens shapes": ["lens_shapes", f"{FIRST}-{FIRST + few - 1}"],
+        "splined lenses beside mrcal": ["splines"],
         "laws of no catalogue": ["random_laws", f"{FIRST}-{FIRST + few - 1}"],
         "beside realistic rest": ["smooth_rest", str(few)],
         "planted in real measurements": ["real_causes"],

@@ -35,6 +35,18 @@ def environment_of(package: str) -> Path | None:
     return python if python.is_file() else None
 
 
+@cache
+def python_with(module: str) -> Path | None:
+    """Return a Python of the machine that has a module, such as one that the system's packages have installed."""
+    for python in dict.fromkeys(filter(None, (shutil.which("python3"), "/usr/bin/python3"))):
+        if (
+            Path(python).is_file()
+            and not subprocess.run([python, "-c", f"import {module}"], capture_output=True).returncode
+        ):
+            return Path(python)
+    return None
+
+
 def program_of(name: str) -> str | None:
     """Return a program that the machine has, or that a package of its name on PyPI has; None if it cannot be had."""
     there = shutil.which(name)

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import ast
+import json
 import re
+import subprocess
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
@@ -14,6 +17,7 @@ import pytest
 import yaml
 from scipy.spatial.transform import Rotation
 
+from benchmarks.beside.environments import python_with
 from metrocli.arrays import Array
 from metrocli.errors import InputError
 from metrocli.exports import export
@@ -221,6 +225,26 @@ def test_pycolmap_projects_as_the_result_does() -> None:
         camera = pycolmap.Camera(model=row[1], width=SIZE[0], height=SIZE[1], params=list(map(float, row[4:])))
         seen = points(name)
         assert np.abs(camera.img_from_cam(seen) - 0.5 - ours(name, seen)).max() < 1e-9
+
+
+MRCAL_PROJECTS = """
+import json, sys, mrcal, numpy
+work = json.load(sys.stdin)
+model = mrcal.cameramodel(work["file"])
+print(json.dumps(mrcal.project(numpy.array(work["points"]), *model.intrinsics()).tolist()))
+"""
+
+
+def test_mrcal_projects_as_the_result_does(tmp_path: Path) -> None:
+    python = python_with("mrcal")
+    if python is None:
+        pytest.skip("no Python of this machine has mrcal (Debian: python3-mrcal)")
+    for name in sorted(HELD["mrcal"]):
+        file, seen = tmp_path / f"{name.replace(' ', '-')}.cameramodel", points(name)
+        file.write_text(written("mrcal", name))
+        work = json.dumps({"file": str(file), "points": seen.tolist()})
+        done = subprocess.run([python, "-c", MRCAL_PROJECTS], input=work, capture_output=True, text=True, check=True)
+        assert np.abs(np.array(json.loads(done.stdout)) - ours(name, seen)).max() < 1e-9
 
 
 @pytest.mark.parametrize(

@@ -107,6 +107,14 @@ def _climb(problem: CameraProblem) -> Iterator[FittedLens]:
         yield FittedLens(name, here, solution, root_mean_square(here.images.residuals(here.blocks)), _held_out(here))
 
 
+def errors(problem: CameraProblem) -> tuple[float, float]:
+    """Return the RMS of all images of a problem and that of images held out in turn [px]."""
+    solution = adjust(problem.blocks.values(), [problem.images, *problem.others], problem.datum)
+    here = problem.with_blocks({**problem.blocks, **solution.blocks})
+    total, count = _held_out(here).sum(axis=0)
+    return root_mean_square(here.images.residuals(here.blocks)), float(np.sqrt(total / count))
+
+
 def _splines(base: FittedLens) -> list[FittedLens]:
     """Return the model with the shape of its lens, if the readings show one; its size is that of all images."""
     shaped = with_shape(base.problem, noise_known=False)

@@ -33,6 +33,8 @@ _WIDE = 3.0
 _REACHES = (0.1, 0.2, 0.4)
 """Lengths over which shapes are alike that are tried, in units of the longer side of the image"""
 _STEPS = 100
+_NEAR = 0.1
+"""Last step, in standard deviations, of the adjustment by which the shape's size is estimated"""
 _SHOWN = 4.0
 """Gain in the logarithm of the likelihood below which the readings show no shape"""
 
@@ -59,8 +61,9 @@ def link_free_of_base(problem: CameraProblem) -> LensShape:
     return LensShape(_knots(problem.image_size), _free_of(problem))
 
 
-def _adjusted(problem: CameraProblem) -> Solution:
-    return adjust(problem.blocks.values(), [problem.images, *problem.others], problem.datum, StoppingRule(limit=_STEPS))
+def _adjusted(problem: CameraProblem, tolerance: float = StoppingRule.tolerance) -> Solution:
+    control = StoppingRule(limit=_STEPS, tolerance=tolerance)
+    return adjust(problem.blocks.values(), [problem.images, *problem.others], problem.datum, control)
 
 
 def _knots(image_size: tuple[int, int]) -> Knots:
@@ -113,7 +116,7 @@ def _evidence(problem: CameraProblem, link: LensShape, noise_known: bool) -> Evi
     """Return what the readings know of the shape, from an adjustment with a wide prior that is taken off again."""
     size = link.to_coefficients.shape[1]
     wide = np.eye(size) * _WIDE**2
-    solution = _adjusted(problem.with_model(extended(problem.model, link, wide)))
+    solution = _adjusted(problem.with_model(extended(problem.model, link, wide)), _NEAR)
     values = solution.blocks[SHAPE].values[0]
     inverse = np.linalg.inv(solution.covariance_or_raise().of(SHAPE))
     right = inverse @ values
