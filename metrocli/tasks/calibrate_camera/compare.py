@@ -41,9 +41,9 @@ FISHEYES: tuple[tuple[str, tuple[str, ...]], ...] = (
 """Likewise"""
 _ALL_FOLDS, _FOLDS = 20, 10
 """Up to 20 images are held out one by one; more are held out in 10 folds"""
-_FOLD_STEPS = 100
-"""Iteration limit of a fold. It starts at the solution of all images: if it needs more, the other images do not
-determine the model"""
+_STEPS = 100
+"""Iteration limit of a model, which starts at the one before it, and of a fold, which starts at that of all images: if
+either needs more, the readings do not determine the model"""
 _LOST = 2.0
 """Held-out RMS [px] above which the lens model is useless for measurement"""
 
@@ -62,7 +62,7 @@ class FittedLens:
 
     @property
     def held_out(self) -> float:
-        """Held-out RMS [px]"""
+        """Held-out RMS [px]; nan for a model that the readings do not determine"""
         total, count = self.held.sum(axis=0)
         return float(np.sqrt(total / count))
 
@@ -102,9 +102,12 @@ def _climb(problem: CameraProblem) -> Iterator[FittedLens]:
     here = problem.with_lens(dict.fromkeys(ladder[-1][1], 0.0))
     for name, terms in ladder:
         here = here.with_estimate([*plain, *terms])
-        solution = adjust(here.blocks.values(), [here.images, *here.others], here.datum)
+        control = StoppingRule(limit=_STEPS)
+        solution = adjust(here.blocks.values(), [here.images, *here.others], here.datum, control)
         here = here.with_blocks({**here.blocks, **solution.blocks})
-        yield FittedLens(name, here, solution, root_mean_square(here.images.residuals(here.blocks)), _held_out(here))
+        # what the readings do not determine predicts nothing, and takes most of the time
+        held = _held_out(here) if solution.outcome.good else np.full((1, 2), np.nan)
+        yield FittedLens(name, here, solution, root_mean_square(here.images.residuals(here.blocks)), held)
 
 
 def errors(problem: CameraProblem) -> tuple[float, float]:
@@ -143,12 +146,12 @@ def _held_out(problem: CameraProblem) -> Array:
             train.blocks.values(),
             [train.images, *train.others],
             train.datum,
-            StoppingRule(limit=_FOLD_STEPS, covariance=False),
+            StoppingRule(limit=_STEPS, covariance=False),
         ).blocks
         test = problem.of_images(inside)
         own = camera.VIEW if problem.rig != "cmm" else ""
         held = {name: block if name == own else fitted[name].fixed() for name, block in test.blocks.items()}
-        posed = adjust(held.values(), [test.images], None, StoppingRule(limit=_FOLD_STEPS, covariance=False)).blocks
+        posed = adjust(held.values(), [test.images], None, StoppingRule(limit=_STEPS, covariance=False)).blocks
         residual = test.images.residuals(posed)
         residuals.append([float((residual**2).sum()), test.images.observations.count])
     return np.array(residuals)
