@@ -84,7 +84,8 @@ def diagnose(
     state, names, gained, unconfirmed = _confirmed(state, ordered, quick)
     kept = readings_kept(state)
     fit = extended_fit(first.measurement.job, names, kept) if names else None
-    shifts = result_changes(first.measurement.job, names, fit, kept)
+    # to first order in a quick diagnosis: each takes an adjustment
+    shifts = [None] * len(names) if quick else result_changes(first.measurement.job, names, fit, kept)
     correlated, repeats, scattered = correlated_errors(state), pure_error(state), random_effects(state)
     parts: list[Fixed | Random] = [*state.named, *(part for part in state.random if part.kind == SCATTER)]
     whole = gain_of_parts(state, parts) if scattered else None
@@ -130,7 +131,7 @@ def _confirmed(
     state, lost = with_shown(state)
     while True:
         names = all_identified(state)
-        gained = gains(state, names, ordered) if names else []
+        gained = gains(state, names, ordered, nested=not quick) if names else []
         nets = dict(zip((part.key for part in state.fixed), state.without_fixed().tolist(), strict=True))
         against = [
             (part, name, gain)

@@ -21,15 +21,15 @@ from metrocli.diagnosis.evidence.state import State
 from metrocli.frozen import dataclass
 
 
-def gains(state: State, names: Sequence[IdentifiedEffect], ordered: Ordered = map) -> list[Gain]:
+def gains(state: State, names: Sequence[IdentifiedEffect], ordered: Ordered = map, nested: bool = True) -> list[Gain]:
     """Return the gain of each identified effect, then of all together; `ordered` computes the folds.
 
     In each fold an effect is in the model only if the other readings choose it, or a rival of it, beside the other
-    effects.
+    effects. What is not `nested` has all effects in each fold, which takes a third of the time and flatters a little.
     """
     rows = folds_of(state.measurement)
     numbers = sorted({*rows.tolist()} - {-1})
-    found = [*ordered(_Nested(state, tuple(names), rows), numbers)]
+    found = [*ordered(_Nested(state, tuple(names), rows, nested), numbers)]
     gained = [gain_of(pairs) for pairs in zip(*found, strict=True)]
     # one effect alone is all of them together
     return gained if len(names) > 1 else [*gained, *gained]
@@ -42,6 +42,7 @@ class _Nested:
     state: State
     names: tuple[IdentifiedEffect, ...]
     rows: Index
+    nested: bool
 
     def __call__(self, number: int) -> list[tuple[Held, Held]]:
         """Return the predictions of a fold without and with each effect, and all of them."""
@@ -67,6 +68,8 @@ class _Nested:
     def _chosen(self, fold: Fold, model: Model, name: IdentifiedEffect) -> Fixed | None:
         """Return the effect, or its rival, that the other readings choose; None if they choose another one, or none."""
         m = self.state.measurement
+        if not self.nested:
+            return next(part for part in model.fixed if part.key == name.key)
         others = model.with_fixed(part for part in model.fixed if part.key != name.key)
         spots = {name.alternative.spot, *(rival.alternative.spot for rival in name.rivals)}
         train = Train.of(fold, others, self.state)
