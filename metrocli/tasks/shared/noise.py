@@ -29,7 +29,6 @@ _MOST_BLOCKS, _LEAST_IN_BLOCK = 6, 2
 """Measurements in time are cut into so many blocks at most, of so many points at least"""
 _ROUNDS, _SETTLED = 6, 1e-3
 """Adjustments until the noise agrees with the residuals, and the relative change at which it does"""
-_CONTROLLED = 1e-6
 
 
 class Scalable(Protocol):
