@@ -20,9 +20,10 @@ quick: .venv/installed
 	$(BIN)/ruff check
 	$(PYTEST) $(QUICK)
 
-# All but the slow tests, which `python -m benchmarks slow_tests` runs.
-test: lint
-	$(PYTEST) --durations=10
+# All but the slow tests, which `python -m benchmarks slow_tests` runs. Types are checked meanwhile: that takes one core.
+test: .venv/installed
+	$(BIN)/ruff check
+	@$(BIN)/mypy & types=$$!; $(PYTEST) --durations=10; tests=$$?; wait $$types && exit $$tests
 
 lint: .venv/installed
 	$(BIN)/ruff check

@@ -50,7 +50,7 @@ def on_config(config: MkDocsConfig) -> MkDocsConfig:
     docs = Path(config.docs_dir)
     first = [f"{name}.md" for name in FIRST]
     sections = [{title: _pages(docs, folder)} for title, folder in SECTIONS.items()]
-    sections[list(SECTIONS).index("Effects")]["Effects"] += [f"effects/{name}.md" for name in _effects()]
+    sections[list(SECTIONS).index("Effects")]["Effects"] += [f"effects/{name}.md" for name in _shown_effects(config)]
     config.nav = [{"Guide": [*first[:1], PROJECT, *first[1:], GALLERY]}, *sections]
     return config
 
@@ -61,8 +61,8 @@ def _pages(docs: Path, folder: str) -> list[str]:
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
-    """Add the README, the effects and the gallery; `extra: {samples: [...]}` limits the samples that are run."""
-    for name, text in _effects().items():
+    """Add the README, the effects and the gallery; `extra: {samples: [...], effects: [...]}` limits them."""
+    for name, text in _shown_effects(config).items():
         files.append(File.generated(config, f"effects/{name}.md", content=text))
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     files.append(File.generated(config, PROJECT, content=readme.replace("](docs/", "](")))
@@ -75,11 +75,15 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     return files
 
 
+def _shown_effects(config: MkDocsConfig) -> dict[str, str]:
+    return _effects(tuple(config.extra.get("effects", ())))
+
+
 @cache
-def _effects() -> dict[str, str]:
-    """Return the page of each effect, whose names in code lead to each other."""
+def _effects(only: tuple[str, ...]) -> dict[str, str]:
+    """Return the page of each effect, whose names in code lead to each other; of all if none is named."""
     tables = {kind: one.task().effects for kind, one in KINDS.items()}
-    names = sorted({effect.name for effects in tables.values() for effect in effects})
+    names = sorted(only or {effect.name for effects in tables.values() for effect in effects})
     linked = re.compile(f"`({'|'.join(names)})`")
     return {name: linked.sub(r"[\1](\1.md)", page(name, tables)) for name in names}
 

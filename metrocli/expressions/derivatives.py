@@ -185,29 +185,8 @@ def _power(x: Any, p: float) -> tuple[Any, ...]:
     return tuple(factors)
 
 
-def _sqrt(x: Any) -> tuple[Any, ...]:
-    return _power(x, 0.5)
-
-
-def _exp(x: Any) -> tuple[Any, ...]:
-    value = np.exp(x)
-    return value, value, value, value
-
-
 def _log(x: Any) -> tuple[Any, ...]:
     return np.log(x), 1 / x, -1 / x**2, 2 / x**3
-
-
-def _log10(x: Any) -> tuple[Any, ...]:
-    return np.log10(x), *(item / np.log(10.0) for item in _log(x)[1:])
-
-
-def _sin(x: Any) -> tuple[Any, ...]:
-    return np.sin(x), np.cos(x), -np.sin(x), -np.cos(x)
-
-
-def _cos(x: Any) -> tuple[Any, ...]:
-    return np.cos(x), -np.sin(x), -np.cos(x), np.sin(x)
 
 
 def _tan(x: Any) -> tuple[Any, ...]:
@@ -221,21 +200,9 @@ def _asin(x: Any) -> tuple[Any, ...]:
     return np.arcsin(x), w**-0.5, x * w**-1.5, (1 + 2 * x * x) * w**-2.5
 
 
-def _acos(x: Any) -> tuple[Any, ...]:
-    return np.arccos(x), *(-item for item in _asin(x)[1:])
-
-
 def _atan(x: Any) -> tuple[Any, ...]:
     w = 1 + x * x
     return np.arctan(x), 1 / w, -2 * x / w**2, (6 * x * x - 2) / w**3
-
-
-def _sinh(x: Any) -> tuple[Any, ...]:
-    return np.sinh(x), np.cosh(x), np.sinh(x), np.cosh(x)
-
-
-def _cosh(x: Any) -> tuple[Any, ...]:
-    return np.cosh(x), np.sinh(x), np.cosh(x), np.sinh(x)
 
 
 def _tanh(x: Any) -> tuple[Any, ...]:
@@ -244,11 +211,19 @@ def _tanh(x: Any) -> tuple[Any, ...]:
     return t, s, -2 * t * s, s * (6 * t * t - 2)
 
 
-def _abs(x: Any) -> tuple[Any, ...]:
-    return np.abs(x), np.where(x == 0, np.nan, np.sign(x)), np.zeros_like(x), np.zeros_like(x)
-
-
 _FUNCTIONS: dict[str, Callable[[Any], tuple[Any, ...]]] = {
-    "sqrt": _sqrt, "exp": _exp, "log": _log, "log10": _log10, "sin": _sin, "cos": _cos, "tan": _tan, "asin": _asin,
-    "acos": _acos, "atan": _atan, "sinh": _sinh, "cosh": _cosh, "tanh": _tanh, "abs": _abs,
-}  # fmt: skip
+    "sqrt": lambda x: _power(x, 0.5),
+    "exp": lambda x: (np.exp(x),) * 4,
+    "log": _log,
+    "log10": lambda x: (np.log10(x), *(item / np.log(10.0) for item in _log(x)[1:])),
+    "sin": lambda x: (np.sin(x), np.cos(x), -np.sin(x), -np.cos(x)),
+    "cos": lambda x: (np.cos(x), -np.sin(x), -np.cos(x), np.sin(x)),
+    "tan": _tan,
+    "asin": _asin,
+    "acos": lambda x: (np.arccos(x), *(-item for item in _asin(x)[1:])),
+    "atan": _atan,
+    "sinh": lambda x: (np.sinh(x), np.cosh(x)) * 2,
+    "cosh": lambda x: (np.cosh(x), np.sinh(x)) * 2,
+    "tanh": _tanh,
+    "abs": lambda x: (np.abs(x), np.where(x == 0, np.nan, np.sign(x)), np.zeros_like(x), np.zeros_like(x)),
+}

@@ -135,7 +135,6 @@ def _refuse_beyond(
     """Add a fault for each value that the column's quantity cannot have."""
     allowed = column.allowed or units.range_of(column.dimension)
     # what no instrument reads, such as 9.9e37 for an overload; plausibility is left to the residuals
-    # (docs/decisions/057-ranges.md)
     beyond = np.flatnonzero(allowed.excludes(values)).tolist()
     if not beyond:
         return

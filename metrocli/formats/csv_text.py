@@ -25,9 +25,6 @@ from metrocli.words import composed
 MOST_FAULTS = 20
 MOST_COLUMNS = 5000
 """A wider table is no measurement, and to compare all its names would take minutes"""
-LONGEST_TEXT = 200
-_WHOLE_LIMIT = 1 << 62
-
 
 Cells = Sequence[Sequence[str]]
 """Cells of each column"""

@@ -119,7 +119,7 @@ class Search:
         if before is not None:
             near, face = before.near, before.face.copy()
             # point and triangle distances can each change by the move: 2 of it use up what was left of the margin
-            # (docs/decisions/119-triangles-near-a-point.md)
+            # (docs/algorithms/overstock-fit.md)
             margin = before.margin - 2 * np.linalg.norm(points - before.points, axis=1)
             away = np.linalg.norm(points - near.points, axis=1)
             again = (margin < 0) & (away < near.clear)

@@ -104,7 +104,7 @@ def set_up_angle(beams: Beams) -> float:
     """
     towards = beams.towards
     difference = np.arctan2(-towards[:, 1], -towards[:, 0]) - beams.launch_base
-    # the mean of angles is that of their directions (docs/decisions/025-launch-methods.md)
+    # the mean of angles is that of their directions (docs/instruments/launch-unit.md)
     return float(np.arctan2(np.sin(difference).mean(), np.cos(difference).mean()))
 
 

@@ -52,7 +52,6 @@ def align(track: Array, track_tool: Index | None, path: Path, tools: Array) -> A
     other = None if track_tool is None else track_tool[rows][:, None] != path.tool[leg]
     spacing = path.length / _SAMPLES
     # by shares of the length: first and last point or the centroid fail on closed paths and at rests
-    # (docs/decisions/037-start-by-length.md)
     pose, most = _by_length(points, nominal, way), np.inf
     for _ in range(_ROUNDS):
         aligned = poses.apply(pose, points.T).T

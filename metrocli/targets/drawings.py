@@ -5,7 +5,6 @@ Each gives the share of ink of finely sampled points, computed from the distance
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import field
 from typing import Protocol
 
@@ -18,17 +17,8 @@ from metrocli.targets.codes import BITS, DOT, RING_FROM, RING_TO, SHEET
 from metrocli.targets.pattern import Pattern, lattice
 
 Field = npt.NDArray[np.floating]
-Rays = Callable[[Array], Array]
-"""Function from pixel coordinates (n, 2) to unit directions (n, 3) in the camera's frame (inverse lens model)."""
-
-Size = tuple[int, int]
-
 FINE = 4
 """Samples per pixel and axis; four are enough, because a sample on an edge is partly covered."""
-FAR = 1e6
-"""Plane coordinate [mm] of a ray that does not meet the plane."""
-COARSE = 16
-"""Distance in pixels of the rays that locate a target in the image."""
 
 
 class Drawing(Protocol):

@@ -88,7 +88,6 @@ class Inputs:
         moving = [k for k in range(len(group)) if std[k] > 0]
         root, dofs = factor(part), {self.quantities[i].dof for i in group}
         # the least of different dof: no formula holds there, and the least is the safe side
-        # (docs/decisions/045-dof-of-correlated-quantities.md)
         ellipse = JointDistribution(group, root, min(dofs))
         normal = all(isinstance(self._shape(i), Normal) for i in group)
         # t distributions of different dof would break the exact relations of a singular covariance

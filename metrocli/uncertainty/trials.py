@@ -194,7 +194,7 @@ class NoOutcomeError(UndeterminedError):
 
 
 def _refuse_lost(values: Array, plan: TrialsPlan) -> None:
-    # leaving lost trials out would change the distribution (docs/decisions/049-refused-monte-carlo.md)
+    # leaving lost trials out would change the distribution (docs/algorithms/monte-carlo-chunks.md)
     lost = ~(np.abs(values) < LARGEST)
     if lost.any():
         row = int(np.argmax(lost.any(axis=1)))

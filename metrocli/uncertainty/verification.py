@@ -151,7 +151,6 @@ def verify(result: Result, check: Table, aligned: bool = False) -> Verification:
     read = measured
     own = places.own + (check.numbers("sigma", 0.0) ** 2)[:, None, None] * np.eye(3)
     # a part that was laid onto the prediction has lost six motions, and their covariance with them
-    # (docs/decisions/092-deviation-of-a-point.md)
     laid = not (aligned or predicted.in_machine(result))
     left = _after_fit if laid else _as_it_is
     if laid:

@@ -37,7 +37,7 @@ def test_a_known_effect_is_named(kind: str) -> None:
     assert rates.sole(found)
 
 
-@pytest.mark.parametrize("kind", ["multilaterate", "selfcal-grid"])
+@pytest.mark.parametrize("kind", ["multilaterate", pytest.param("selfcal-grid", marks=pytest.mark.slow)])
 def test_an_effect_outside_the_catalogue_is_called_unknown(kind: str) -> None:
     case = next(case for case in cases(kind, "outside*") if case.hidden[0].distinct)
     assert rates.found(case).diagnosis.verdict == Verdict.UNEXPLAINED

@@ -87,9 +87,8 @@ def made(case: Case, metrocli: Metrocli, tmp_path: Path) -> Path:
 SIMULATION = {"laboratory-effects": "simulation: {tracer_error: 1 mm}\n"}
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=pytest.mark.slow if name != "multilaterate" else ()) for name in CASES]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("name", CASES)
 def test_a_cause_that_grows_with_a_column_is_found_and_estimated(name: str, metrocli: Metrocli, tmp_path: Path) -> None:
     case = CASES[name]
     job = made(case, metrocli, tmp_path)

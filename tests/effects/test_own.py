@@ -13,12 +13,13 @@ import pytest
 from places import DOCS, SAMPLES
 from simulated import lengths as simulated_lengths
 
+from metrocli.adjust.model.quantities import Quantity
 from metrocli.arrays import Array
 from metrocli.cli.commands import run
 from metrocli.diagnosis.linear.scans import thinned
 from metrocli.effects.acting import Acting, seen_from
 from metrocli.effects.effect import Effect, Parameter
-from metrocli.effects.links.lengths import LengthOffset, LengthScale
+from metrocli.effects.links.points import Growth, Shift
 from metrocli.effects.own.define import read
 from metrocli.effects.own.trials import broken
 from metrocli.errors import Fault
@@ -141,16 +142,18 @@ def test_the_laws_find_what_is_wrong_with_the_effect_of_a_package() -> None:
     places = KINDS["multilaterate"].task().places
     offset = (Parameter("offset", "length", 0.1),)
     sound = Effect(
-        "shop-offset", "why", offset, lambda block, where: LengthOffset(block), reveal="how", source="whence"
+        "shop-offset", "why", offset, lambda block, where: Shift(block, Quantity.LENGTH), reveal="how", source="whence"
     )
     assert list(broken(sound, places)) == []
 
-    class Lies(LengthScale):
+    class Lies(Growth):
         def step(self, value, local):  # type: ignore[no-untyped-def]
             step = super().step(value, local)
             return type(step)(step.value + 1.0, step.by_input, {self.block: 2 * step.by_block[self.block]})
 
-    wrong = Effect("shop-scale", "", offset, lambda block, where: Lies(block), reveal="how", source="whence")
+    wrong = Effect(
+        "shop-scale", "", offset, lambda block, where: Lies(block, Quantity.LENGTH), reveal="how", source="whence"
+    )
     assert list(broken(wrong, places)) == [
         "it has no cause",
         "it is not 0 where all its parameters are 0",

@@ -24,7 +24,7 @@ from metrocli.formats.own_files import LIST, write_all
         (("plot", "results/line.h5", "residuals", "--save", "victim.svg"), "victim.svg"),
         (("plot", "results/line.h5", "residuals"), "results/line.residuals.svg"),
         (("report", "results/line.h5"), "results/line.html"),
-        (("report", ".", "--out", "index.html"), "index.html"),
+        pytest.param(("report", ".", "--out", "index.html"), "index.html", marks=pytest.mark.slow),
         (("gather", "--out", "readings.csv"), "readings.csv"),
     ],
 )

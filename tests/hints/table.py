@@ -191,7 +191,7 @@ GRID = [
     Row("{} {}: the readings fit balls of the opposite sign", "ball-cube", CUBE, {VIEWS: times(-1, "z_mm")},
         {VIEWS: times(1.0001, "z_mm")}, DONE, "z", slow=True),
     Row("views '{}' and '{}' are exchanged", "ball-cube", CUBE, {VIEWS: exchanged("view", "1", "2")},
-        {VIEWS: cells("view", lambda name: "1" if name == "2" else name)}, "may have readings of two set-ups"),
+        {VIEWS: cells("view", lambda name: "1" if name == "2" else name)}, "may have readings of two set-ups", slow=True),
     Row("; is the sense of its rotation wrong?", "ball-cube", CUBE, {"jobs/views.yaml": put("axis: z, angle: 90", "axis: z, angle: -90")},
         {"jobs/views.yaml": put("axis: z, angle: 90", "axis: z, angle: 180")}, "stands turned", slow=True),
 ]  # fmt: skip
@@ -227,7 +227,7 @@ MACHINE = [
     Row("the track is a mirror image of the path", "otf-tracker", OTF, {TRACK: times(-1, "z_mm")},
         {TRACK: then(times(-1, "z_mm"), times(-1, "x_mm"))}, "status: ", slow=True),
     Row("two of mx, my, mz are swapped, or one of them has the wrong sign", "otf-tracker", OTF, {TRACK: by("x_mm,y_mm", "y_mm,x_mm")},
-        {TRACK: then(times(-1, "z_mm"), times(-1, "x_mm"))}, "status: "),
+        {TRACK: then(times(-1, "z_mm"), times(-1, "x_mm"))}, "status: ", slow=True),
     Row("is this the track of another path, or are vertices missing or in another order?", "otf-tracker", OTF,
         {"data/path.csv": reordered("y_mm", "", sorted)}, {TRACK: times(-1, "z_mm")}, "mirror image", slow=True),
     Row("the lengths place the stations {} mm from their list, and {} mm from it if {} counts the other way", "machine-lengths", "calibrate-machine jobs/one-tool.yaml",
@@ -253,7 +253,7 @@ SEEN = "observations.csv"
 FOLDED = board(k1=-1.2)[SEEN]
 CAMERAS = [
     Row("{} {}: the board is seen from the other side than in the others; mirrored?", "board", CAMERA, {SEEN: cells("u_px", lambda u: 639 - float(u), "view3.png")},
-        {SEEN: then(cells("u_px", lambda u: 639 - float(u), "view3.png"), cells("v_px", lambda v: 479 - float(v), "view3.png"))}, "status: "),
+        {SEEN: then(cells("u_px", lambda u: 639 - float(u), "view3.png"), cells("v_px", lambda v: 479 - float(v), "view3.png"))}, "status: ", slow=True),
     Row("{} fits no view of a flat board, by {} px: are its targets in another order?", "board", CAMERA,
         {SEEN: reordered("target", "view3.png", lambda old: [*old[1:], old[0]])}, {SEEN: put("view3.png,A0,", "view3.png,F8,")}, "view3.png", slow=True),
     Row("use fewer distortion parameters", "board", CAMERA,
@@ -279,7 +279,7 @@ MESH = {"job.yaml": put("part.yaml", "part.stl")}
 PARTS = [
     Row("the points of {} lie on the wrong side of the surface", "part", "fit-part job.yaml", {"part.yaml": put("normal: [0, 0, 1]", "normal: [0, 0, -1]")},
         {"points.csv": put(",top,", ",top,")}, DONE, "top"),
-    Row("the points of every surface lie on the wrong side", "part", "fit-part job.yaml", {"part.yaml": then(by(r"normal: \[", "normal: [-"), by(r"--", ""), by("(?<=[ ,])1(?=[],])", "-1"))}, {}, DONE),
+    Row("the points of every surface lie on the wrong side", "part", "fit-part job.yaml", {"part.yaml": then(by(r"normal: \[", "normal: [-"), by(r"--", ""), by("(?<=[ ,])1(?=[],])", "-1"))}, {}, DONE, slow=True),
     Row("the mesh of the ideal part is inverted", "part", "fit-part job.yaml", {"job.yaml": put("part.yaml", "inverted.stl")}, MESH, DONE),
     Row("the coordinates of the mesh are in {}, not in {}: write `nominal_unit: {}`", "part", "fit-part job.yaml", {"job.yaml": put("part.yaml", "cm.stl")},
         {"job.yaml": then(put("part.yaml", "cm.stl"), more("nominal_unit: cm"))}, DONE, "`nominal_unit: cm`"),

@@ -15,7 +15,7 @@ PAGES = sorted(path.stem for path in FOLDER.glob("*.md") if path.stem != "README
 MODULES = sorted(Path(metrocli.__file__).parent.rglob("*.py"))
 PATH = re.compile(r"\b(?:metrocli|tests|docs|benchmarks)/[\w./-]*\w/?")
 """A file or folder of the project"""
-PARTS = ("## Problem", "## Formulas", "## Source", "## Cost", "## What did not work", "## Modules")
+PARTS = ("## Problem", "## Formulas", "## Source", "## Cost", "## What did not work")
 
 
 def docstring(path: Path) -> str:

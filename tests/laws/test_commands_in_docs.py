@@ -22,6 +22,7 @@ SAMPLE = {
     "locate-launch-unit": ("xm60-launch-unit", "table", "table"),
     "selfcal-grid": ("ball-cube", "views", "views"),
     "calibrate-machine": ("otf-tracker", "feed-2500", "feed-2500"),
+    "rotary-axes": ("five-axis", "after", "after"),
     "adjust-network": ("hall-trackers", "hall", "hall"),
     "fit-part": ("raw-part", "fit", "fit"),
     "fit-points": ("best-fit", "fit", "fit"),

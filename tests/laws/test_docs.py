@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
@@ -10,6 +11,7 @@ from places import DOCS, SAMPLES
 from metrocli import errors, settings, units
 from metrocli.tasks import KINDS
 
+PAGES = [*DOCS.rglob("*.md"), *SAMPLES.rglob("README.md"), DOCS.parent / "README.md"]
 README = (DOCS.parent / "README.md").read_text(encoding="utf-8")
 
 
@@ -75,3 +77,28 @@ def test_the_fault_of_the_readme_is_reported_so(tmp_path: Path, monkeypatch: pyt
 def test_the_job_of_the_readme_is_that_of_the_sample() -> None:
     block = README.split("$ cat jobs/tip4.yaml\n")[1].split("...")[0]
     assert block in (SAMPLES / "gear-m3d3" / "jobs" / "tip4.yaml").read_text(encoding="utf-8")
+
+
+def headings(page: Path) -> set[str]:
+    """The anchors of a page."""
+    plain = re.findall(r"^#+ (.*)$", re.sub(r"[`*]", "", page.read_text(encoding="utf-8")), re.MULTILINE)
+    return {re.sub(r"\s", "-", re.sub(r"[^\w\s-]", "", heading.lower())) for heading in plain}
+
+
+def dead_links(page: Path) -> list[str]:
+    dead = []
+    for link, _, anchor in re.findall(r"\]\(([^)\s#:]*)(#?)([^)\s:]*)\)", page.read_text(encoding="utf-8")):
+        to = page.parent / link if link else page
+        if not to.exists() or (anchor and to.suffix == ".md" and anchor not in headings(to)):
+            dead.append(f"{link}#{anchor}")
+    return dead
+
+
+def test_links_of_all_pages_lead_to_a_page_and_a_heading() -> None:
+    assert not [(str(page), dead) for page in PAGES if (dead := dead_links(page))]
+
+
+def test_a_dead_link_is_found(tmp_path: Path) -> None:
+    page = tmp_path / "a.md"
+    page.write_text("# One `two`\n[a](#one-two) [b](#three) [c](none.md) [d](a.md#one-two) [e](https://x.y/z)")
+    assert dead_links(page) == ["#three", "none.md#"]

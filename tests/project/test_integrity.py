@@ -340,7 +340,7 @@ def test_a_signal_ends_what_hangs_and_takes_back_what_was_begun(number: int, tmp
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("blocks", [1, 40])
+@pytest.mark.parametrize("blocks", [1, pytest.param(40, marks=pytest.mark.slow)])
 def test_a_full_disk_is_a_clear_fault(blocks: int, tmp_path: Path) -> None:
     from metrocli.cli.commands import run
 

@@ -351,7 +351,7 @@ class TestMemo:
         os.mkfifo(memo.NAME)
         assert memo.unmoved_jobs("metrocli.yaml") is None
 
-    @pytest.mark.parametrize("jobs", [1, 2])
+    @pytest.mark.parametrize("jobs", [1, pytest.param(2, marks=pytest.mark.slow)])
     @pytest.mark.parametrize("file", FILES)
     def test_what_a_run_read_and_wrote_is_remembered_by_its_bytes_while_it_is_young(
         self, file: str, jobs: int, metrocli: Callable[..., Any], monkeypatch: pytest.MonkeyPatch

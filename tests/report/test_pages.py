@@ -86,7 +86,13 @@ def without_figures() -> Result:
 
 
 @pytest.mark.parametrize(
-    "result", [lens(), results.network(), results.machine(), results.budget()], ids=lambda r: r.kind
+    "result",
+    [
+        results.network(),
+        results.budget(),
+        *(pytest.param(r, marks=pytest.mark.slow) for r in (lens(), results.machine())),
+    ],
+    ids=lambda r: r.kind,
 )
 def test_a_page_fetches_nothing_and_is_well_formed(result: Result) -> None:
     text = result_page(Content(result, RECORD, "r.h5"))

@@ -10,12 +10,15 @@ from mkdocs.commands.build import build
 from mkdocs.config import load_config
 from places import DOCS
 
+ONE_OF_EACH = {"samples": ["gauge-block"], "effects": ["backlash", "dead-path-drift"]}
+"""`make docs` has all"""
+
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("site")
     file = str(DOCS / "site" / "mkdocs.yml")
-    config = load_config(file, site_dir=str(folder), strict=True, extra={"samples": ["gauge-block"]})
+    config = load_config(file, site_dir=str(folder), strict=True, extra=ONE_OF_EACH)
     config.plugins.on_startup(command="build", dirty=False)
     build(config)
     return folder

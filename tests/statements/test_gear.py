@@ -198,7 +198,7 @@ def test_sphere_form(diagnosed: str, seen: Seen) -> None:
     assert np.isclose(in_mm(stated.partition(" at ")[0])[0], max(changes), rtol=0.06)
 
 
-@pytest.mark.parametrize("name", ["length-offset", "reflector-incidence"])
+@pytest.mark.parametrize("name", ["length-offset", pytest.param("reflector-incidence", marks=pytest.mark.slow)])
 def test_what_tracers_and_dead_paths_absorb_moves_no_point(diagnosed: str, seen: Seen, name: str) -> None:
     """length-offset and reflector-incidence: not-testable, result off by 0 mm."""
     row = cells(diagnosed, name)

@@ -218,7 +218,7 @@ def test_real_circles_where_opencv_gives_a_wrong_order() -> None:
     ("columns", "rows", "words"),
     [
         (11, 4, "4 x 11: is it columns: 4, rows: 11?"),
-        (5, 10, "4 x 11: is it columns: 4, rows: 11?"),
+        pytest.param(5, 10, "4 x 11: is it columns: 4, rows: 11?", marks=pytest.mark.slow),
         (4, 8, "44 circles, and the pattern of the job has 32"),
     ],
 )

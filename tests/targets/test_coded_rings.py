@@ -46,7 +46,7 @@ def test_the_list_of_codes() -> None:
     "look",
     [
         pytest.param(Look(noise=2.0), marks=pytest.mark.slow),
-        Look(ink=220, paper=20, background=20, noise=2.0),
+        pytest.param(Look(ink=220, paper=20, background=20, noise=2.0), marks=pytest.mark.slow),
         RETRO_REFLECTIVE,
     ],
 )
@@ -80,7 +80,7 @@ def test_every_code_is_read_in_any_turn(step: int) -> None:
         assert found.targets == tuple(str(code) for code in chosen)
 
 
-@pytest.mark.parametrize("diameter", [6, 10, 30])
+@pytest.mark.parametrize("diameter", [6, 10, pytest.param(30, marks=pytest.mark.slow)])
 def test_centres_agree_with_the_perspective_ellipse(diameter: float) -> None:
     rng = np.random.default_rng(9)
     errors = []

@@ -225,6 +225,7 @@ def test_trials_without_a_value_are_refused(tmp_path: Path, capsys: pytest.Captu
     assert not ran.path.exists()
 
 
+@pytest.mark.slow
 def test_ten_million_trials_in_bounded_memory(tmp_path: Path) -> None:
     code = (
         "import re, sys\nfrom metrocli.cli.commands import run\n"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import Enum
+from typing import ClassVar
 
 
 class Quantity(Enum):
@@ -49,11 +50,13 @@ class OfBlock:
     """A link whose unknowns are those of one block."""
 
     block: str
+    others: ClassVar[tuple[str, ...]] = ()
+    """Blocks on which it depends besides its own"""
 
     @property
     def blocks(self) -> tuple[str, ...]:
-        """The name of its block."""
-        return (self.block,)
+        """The names of these blocks and of its own."""
+        return (*self.others, self.block)
 
 
 @dataclass(frozen=True)

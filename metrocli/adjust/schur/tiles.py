@@ -81,7 +81,7 @@ def _tiled(
     if len(kept) < len(orders) or not kept:
         return []
     alike = _alike(kept)
-    # small tiles cost more in calls than the cache gains (docs/decisions/011-tiles-and-lattices.md)
+    # small tiles cost more in calls than the cache gains (docs/algorithms/tiled-elimination.md)
     if len(alike) > 2 and sum(len(order.rows) for order in kept) < WORTH_TILES * len(alike):
         return []
     return [tile for members in alike for tile in _tiles(kept, groups, members, eliminated)]

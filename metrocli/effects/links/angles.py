@@ -11,40 +11,11 @@ from metrocli.adjust.model.chain import LinkContext, Step, through
 from metrocli.adjust.model.quantities import AtQuantity, OfBlock, Quantity
 from metrocli.arrays import Array
 from metrocli.effects.acting import Variable, components
-from metrocli.effects.effect import ELAPSED
 from metrocli.effects.links.own import OwnTerms
 from metrocli.expressions.expression import parse
 from metrocli.frozen import dataclass
 from metrocli.geometry.rotations import rotation_from_vector
 from metrocli.instruments.tracker import POLAR, cartesian, face, polar
-
-
-@dataclass(frozen=True)
-class EncoderOffset(AtQuantity):
-    """Zero error of one encoder: `phi += offset` for one of the two angles; column offset [rad]."""
-
-    component: int
-
-    def step(self, value: Array, local: LinkContext) -> Step:
-        """Return the angles (2, n)."""
-        by_block = np.zeros((2, 1, 1))
-        by_block[self.component] = 1.0
-        return Step(value + local.rows(self.block) * by_block[:, 0], np.eye(2)[:, :, None], {self.block: by_block})
-
-
-@dataclass(frozen=True)
-class EncoderLag(AtQuantity):
-    """Lag of one encoder by its direction: `phi -= s width/2`, s the `direction`; column width [rad]."""
-
-    component: int
-    direction: str
-    """Condition: 1 where the angle grew, -1 where it fell, 0 if it never moves"""
-
-    def step(self, value: Array, local: LinkContext) -> Step:
-        """Return the angles (2, n)."""
-        by_block = np.zeros((2, 1, value.shape[1]))
-        by_block[self.component, 0] = -local.observations.conditions[self.direction] / 2
-        return Step(value + local.rows(self.block) * by_block[:, 0], np.eye(2)[:, :, None], {self.block: by_block})
 
 
 @dataclass(frozen=True)
@@ -201,16 +172,3 @@ def _seen_through(back: Array, value: Array) -> Array:
 def later_than(local: LinkContext, block: str) -> Array:
     """Return 1 for readings from the time `at` on, the last column of the block, else 0, (n,)."""
     return np.asarray(local.observations.conditions["t"] >= local.rows(block)[-1], dtype=float)
-
-
-@dataclass(frozen=True)
-class TrackerMoves(OfBlock):
-    """The tracker drifts by `v t` along the machine's axes; columns vx, vy, vz [mm/s]."""
-
-    takes = gives = Quantity.POINT_IN_MACHINE
-
-    def step(self, value: Array, local: LinkContext) -> Step:
-        """Return the point (3, n), displaced by `-v t`, since the readings depend only on the relative position."""
-        elapsed = local.observations.conditions[ELAPSED]
-        moved = value - local.rows(self.block) * elapsed
-        return Step(moved, np.eye(3)[:, :, None], {self.block: -np.eye(3)[:, :, None] * elapsed})

@@ -7,12 +7,11 @@ import numpy as np
 from metrocli.adjust.model.chain import LinkContext, Step
 from metrocli.adjust.model.quantities import OfBlock, Quantity
 from metrocli.arrays import Array
-from metrocli.effects.effect import ELAPSED
 from metrocli.frozen import dataclass
 from metrocli.instruments.launch_unit import UNIT
 from metrocli.instruments.tracer import TRACER
 
-_AS_IT_IS = np.ones((1, 1, 1))
+_AS_IT_IS, _EYE = np.ones((1, 1, 1)), np.eye(3)[:, :, None]
 
 
 @dataclass(frozen=True)
@@ -30,67 +29,21 @@ class LengthTerms(OfBlock):
 
 
 @dataclass(frozen=True)
-class LengthJump(OfBlock):
-    """Jump of a length: `l += step` from the time `at` on; columns step [mm], at [s]."""
-
-    takes = gives = Quantity.LENGTH
-
-    def step(self, value: Array, local: LinkContext) -> Step:
-        """Return the length (1, n)."""
-        step, at = local.rows(self.block)
-        later = (local.observations.conditions["t"] >= at).astype(float)
-        by_block = np.zeros((1, 2, len(later)))
-        by_block[0, 0] = later
-        return Step(value + step * later, _AS_IT_IS, {self.block: by_block})
-
-
-@dataclass(frozen=True)
-class LengthOffset(OfBlock):
-    """Zero error of a length: `l += offset`; column offset [mm]."""
-
-    takes = gives = Quantity.LENGTH
-
-    def step(self, value: Array, local: LinkContext) -> Step:
-        """Return the length (1, n)."""
-        return Step(value + local.rows(self.block), _AS_IT_IS, {self.block: np.ones((1, 1, value.shape[1]))})
-
-
-@dataclass(frozen=True)
-class LengthScale(OfBlock):
-    """Scale error of a length: `l (1 + scale)`; column scale [1]."""
-
-    takes = gives = Quantity.LENGTH
-
-    def step(self, value: Array, local: LinkContext) -> Step:
-        """Return the length (1, n)."""
-        factor = 1 + local.rows(self.block)
-        return Step(value * factor, factor[:, None] * _AS_IT_IS, {self.block: value[:, None]})
-
-
-_EYE = np.eye(3)[:, :, None]
-
-
-@dataclass(frozen=True)
 class BeamScale(OfBlock):
     """The beam is scaled: `b (1 + scale c)`, c = 1 or a condition; column scale [1], or rate [1/K or 1/s]."""
 
-    tracer: str = TRACER
     condition: str = ""
+    others = (TRACER,)
     takes = gives = Quantity.POINT_IN_MACHINE
-
-    @property
-    def blocks(self) -> tuple[str, ...]:
-        """The block of tracers, where the beams begin, and its own block."""
-        return (self.tracer, self.block)
 
     def step(self, value: Array, local: LinkContext) -> Step:
         """Return the point (3, n), displaced along its beam, with derivatives by point, tracer and its own block."""
-        beam = value - local.rows(self.tracer)[:3]
+        beam = value - local.rows(TRACER)[:3]
         factor = local.observations.conditions[self.condition] if self.condition else np.ones(beam.shape[1])
         scale = local.rows(self.block)[0] * factor
-        by_tracer = np.zeros((3, local.members(self.tracer).shape[1], len(factor)))
+        by_tracer = np.zeros((3, local.members(TRACER).shape[1], len(factor)))
         by_tracer[:, :3] = -_EYE * scale
-        by_block = {self.tracer: by_tracer, self.block: (beam * factor)[:, None]}
+        by_block = {TRACER: by_tracer, self.block: (beam * factor)[:, None]}
         return Step(value + beam * scale, _EYE * (1 + scale), by_block)
 
 
@@ -102,36 +55,19 @@ class AirGradient(OfBlock):
     that of half the height. The bend of the beam changes its length only to the second order of the gradient.
     """
 
-    tracer: str = TRACER
+    others = (TRACER,)
     takes = gives = Quantity.POINT_IN_MACHINE
-
-    @property
-    def blocks(self) -> tuple[str, ...]:
-        """The block of tracers, where the beams begin, and its own block."""
-        return (self.tracer, self.block)
 
     def step(self, value: Array, local: LinkContext) -> Step:
         """Return the point (3, n), displaced along its beam, with derivatives by point, tracer and its own block."""
-        beam = value - local.rows(self.tracer)[:3]
+        beam = value - local.rows(TRACER)[:3]
         gradient, half = local.rows(self.block)[0], beam[2] / 2
         by_beam = _EYE * (gradient * half)
         by_beam[:, 2] += gradient / 2 * beam
-        by_tracer = np.zeros((3, local.members(self.tracer).shape[1], len(half)))
+        by_tracer = np.zeros((3, local.members(TRACER).shape[1], len(half)))
         by_tracer[:, :3] = -by_beam
-        by_block = {self.tracer: by_tracer, self.block: (beam * half)[:, None]}
+        by_block = {TRACER: by_tracer, self.block: (beam * half)[:, None]}
         return Step(value + gradient * half * beam, _EYE + by_beam, by_block)
-
-
-@dataclass(frozen=True)
-class TracerDrift(OfBlock):
-    """A tracer moves: `x0 += v t`, which from the tracer looks like `x -= v t`; columns vx, vy, vz [mm/s]."""
-
-    takes = gives = Quantity.POINT_IN_MACHINE
-
-    def step(self, value: Array, local: LinkContext) -> Step:
-        """Return the point (3, n)."""
-        t = local.observations.conditions[ELAPSED]
-        return Step(value - local.rows(self.block) * t, _EYE, {self.block: -_EYE * t})
 
 
 @dataclass(frozen=True)
@@ -141,26 +77,21 @@ class _BesideBeam(OfBlock):
     The beam then runs along `b - h l`.
     """
 
-    unit: str = UNIT
+    others = (UNIT,)
     takes = gives = Quantity.POINT_IN_MACHINE
 
     def across(self, beam: Array) -> tuple[Array, Array]:
         """Return the unit vector l of beams (3, n), and its derivatives by them (3, 3, n)."""
         raise NotImplementedError
 
-    @property
-    def blocks(self) -> tuple[str, ...]:
-        """The block of the launch unit, where the beams begin, and its own block."""
-        return (self.unit, self.block)
-
     def step(self, value: Array, local: LinkContext) -> Step:
         """Return the point (3, n) to which a beam without offset would run in this direction, with derivatives."""
         h = local.rows(self.block)[0]
-        across, turns = self.across(value - local.rows(self.unit)[:3])
+        across, turns = self.across(value - local.rows(UNIT)[:3])
         by_beam = -h * turns
-        by_unit = np.zeros((3, local.members(self.unit).shape[1], value.shape[1]))
+        by_unit = np.zeros((3, local.members(UNIT).shape[1], value.shape[1]))
         by_unit[:, :3] = -by_beam
-        return Step(value - h * across, _EYE + by_beam, {self.unit: by_unit, self.block: -across[:, None]})
+        return Step(value - h * across, _EYE + by_beam, {UNIT: by_unit, self.block: -across[:, None]})
 
 
 class BeamOffset(_BesideBeam):

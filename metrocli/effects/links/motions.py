@@ -231,12 +231,8 @@ class LineTerm(OfBlock):
     """Error along the line: `d += u p c`, u the direction of the line, c a product of conditions; one column p."""
 
     conditions: tuple[str, ...]
+    others = (LINE,)  # only readings of a laser have this block
     takes = gives = Quantity.ERROR_MOTION
-
-    @property
-    def blocks(self) -> tuple[str, ...]:
-        """The block of lines, which only readings of a laser have, and its own block."""
-        return (LINE, self.block)
 
     def step(self, value: Array, local: LinkContext) -> Step:
         """Return the motion (6, n)."""
@@ -253,12 +249,8 @@ class LineTerm(OfBlock):
 class ZeroDrift(OfBlock):
     """Drift of the zero of an angle that is read about a rotary axis: `e += rate t`; column rate [rad/s]."""
 
+    others = (LINE,)  # only readings on lines have this block
     takes = gives = Quantity.ANGLE
-
-    @property
-    def blocks(self) -> tuple[str, ...]:
-        """The block of lines, which only readings on lines have, and its own block."""
-        return (LINE, self.block)
 
     def step(self, value: Array, local: LinkContext) -> Step:
         """Return the angle (1, n)."""

@@ -1,4 +1,7 @@
-"""Effects on points of a part, a board or a machine: shifts at a time, growth, stretch, and the bend of a plane."""
+"""Effects on points of a part, a board, an artefact or a machine: shifts, growth, stretch, and the bend of a plane.
+
+Shifts and growth serve lengths and angles too.
+"""
 
 from __future__ import annotations
 
@@ -8,67 +11,83 @@ from metrocli.adjust.model.chain import LinkContext, Step
 from metrocli.adjust.model.quantities import AtQuantity, OfBlock, Quantity
 from metrocli.arrays import Array
 from metrocli.frozen import dataclass
+from metrocli.instruments.ball_grid import VIEW
 
 _EYE = np.eye(3)[:, :, None]
 
 
 @dataclass(frozen=True)
-class PointStep(OfBlock):
-    """A point is displaced: `x += s d` from the time `at` on; columns dx, dy, dz [mm], at [s].
+class Shift(AtQuantity):
+    """A quantity is displaced: `q += s c d`, c = 1 or a condition; one column of d for each component from `first` on.
 
-    s = -1 if the instrument moves and not the point. Another condition may stand for the time.
+    The components are those of the quantity's frame. s = -1 if the frame moves and not the point, as with a camera's
+    holder, an instrument or the machine. With `since` there is one more column: q is displaced where that condition
+    has at least its value, such as a time.
     """
 
     sign: float = 1.0
-    condition: str = "t"
-    takes = gives = Quantity.POINT_IN_MACHINE
+    condition: str = ""
+    first: int = 0
+    since: str = ""
 
     def step(self, value: Array, local: LinkContext) -> Step:
-        """Return the point (3, n)."""
+        """Return the quantity (k, n)."""
+        same, rows, given = np.eye(len(value))[:, :, None], local.rows(self.block), local.observations.conditions
+        shift = rows[:-1] if self.since else rows
+        by_shift = self.sign * same[:, self.first : self.first + len(shift)]
+        if self.condition:
+            by_shift = by_shift * given[self.condition]
+        if self.since:
+            by_shift = by_shift * (given[self.since] >= rows[-1])
+        moved = value + (by_shift * shift).sum(axis=1)
+        if self.since:
+            by_shift = np.concatenate([by_shift, np.zeros_like(by_shift[:, :1])], axis=1)
+        return Step(moved, same, {self.block: by_shift})
+
+
+@dataclass(frozen=True)
+class Growth(AtQuantity):
+    """A point moves away from the origin, or a length grows: `q (1 + s)`; column scale, s [1]."""
+
+    def step(self, value: Array, local: LinkContext) -> Step:
+        """Return the quantity (k, n), with derivatives `(1 + s) I` by itself and q by the scale."""
+        growth = 1 + local.rows(self.block)[0]
+        return Step(value * growth, growth * np.eye(len(value))[:, :, None], {self.block: value[:, None]})
+
+
+@dataclass(frozen=True)
+class BallShift(OfBlock):
+    """A ball is displaced in the artefact: `x += d` from one view on; columns dx, dy, dz [mm], from_view (number)."""
+
+    takes = gives = Quantity.BALL_IN_ARTEFACT
+
+    def step(self, value: Array, local: LinkContext) -> Step:
+        """Return the ball (3, n)."""
         rows = local.rows(self.block)
-        later = self.sign * (local.observations.conditions[self.condition] >= rows[3])
+        later = (local.index(VIEW) >= rows[3]).astype(float)
         by_block = np.zeros((3, 4, len(later)))
         by_block[:, :3] = _EYE * later
         return Step(value + rows[:3] * later, _EYE, {self.block: by_block})
 
 
 @dataclass(frozen=True)
-class AxisError(OfBlock):
-    """Scale or squareness error of the machine: `x_i += a x_j`; column a [1 or rad].
+class LinearTerms(AtQuantity):
+    """Coordinates of a point grow with others: `x_i += a x_j`, one column a [1 or rad] for each entry (i, j).
 
     If i = j, a is the scale error of an axis. Otherwise axis j is out of square and also moves the point along i.
     """
 
-    moved: int
-    along: int
-    quantity: Quantity = Quantity.POINT_IN_MACHINE
-    """In whose frame the axes are"""
-
-    @property
-    def takes(self) -> Quantity:
-        """The quantity on which it acts."""
-        return self.quantity
-
-    gives = takes
+    entries: tuple[tuple[int, int], ...]
 
     def step(self, value: Array, local: LinkContext) -> Step:
         """Return the point (3, n)."""
-        error = local.rows(self.block)[0]
+        errors = local.rows(self.block)
         by_point = np.tile(_EYE, value.shape[1])
-        by_point[self.moved, self.along] += error
-        by_block = np.zeros((3, 1, value.shape[1]))
-        by_block[self.moved, 0] = value[self.along]
-        return Step(value + by_block[:, 0] * error, by_point, {self.block: by_block})
-
-
-@dataclass(frozen=True)
-class Growth(AtQuantity):
-    """A point moves away from the origin: `X (1 + s)`; column scale, s [1]."""
-
-    def step(self, value: Array, local: LinkContext) -> Step:
-        """Return the point (3, n), with derivatives `(1 + s) I` by the point and X by the scale."""
-        growth = 1 + local.rows(self.block)[0]
-        return Step(value * growth, growth * _EYE, {self.block: value[:, None]})
+        by_block = np.zeros((3, len(errors), value.shape[1]))
+        for column, (moved, along) in enumerate(self.entries):
+            by_point[moved, along] += errors[column]
+            by_block[moved, column] = value[along]
+        return Step(value + (by_block * errors).sum(axis=1), by_point, {self.block: by_block})
 
 
 @dataclass(frozen=True)
@@ -88,26 +107,6 @@ class PlaneBend(OfBlock):
         bent = value.copy()
         bent[2] += xx * x * x + xy * x * y + yy * y * y
         return Step(bent, by_point, {self.block: by_bend})
-
-
-@dataclass(frozen=True)
-class Stretch(AtQuantity):
-    """A point of a list that is longer in x than in y: `X (1 + e)`, `X + g Y`; columns stretch e [1], shear g [rad].
-
-    Growth of both axes alike is a scale, which poses absorb.
-    """
-
-    def step(self, value: Array, local: LinkContext) -> Step:
-        """Return the point (3, n), with derivatives by the point and by stretch and shear."""
-        stretch, shear = local.rows(self.block)
-        x, y, _ = value
-        by_point = np.repeat(np.eye(3)[:, :, None], value.shape[1], axis=2)
-        by_point[0, 0], by_point[0, 1] = 1 + stretch, shear
-        by_block = np.zeros((3, 2, value.shape[1]))
-        by_block[0] = x, y
-        moved = value.copy()
-        moved[0] += stretch * x + shear * y
-        return Step(moved, by_point, {self.block: by_block})
 
 
 @dataclass(frozen=True)

@@ -5,33 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from metrocli.adjust.model.chain import LinkContext, Step
-from metrocli.adjust.model.quantities import AtQuantity, OfBlock, Quantity
+from metrocli.adjust.model.quantities import OfBlock, Quantity
 from metrocli.arrays import Array
 from metrocli.frozen import dataclass
 from metrocli.geometry.rotations import cross_matrix
+from metrocli.instruments.spindle_camera import SPINDLE
 
 _EYE = np.eye(3)[:, :, None]
-
-
-@dataclass(frozen=True)
-class Shift(AtQuantity):
-    """A point is displaced: `X += s d c`, c = 1 or a condition; d has one to three columns, along x, y, z.
-
-    x, y, z are those of the quantity's frame; `first` is 2 if d has one column along z. s = -1 if the frame moves and
-    not the point, as with a camera's holder or the machine.
-    """
-
-    sign: float = 1.0
-    condition: str = ""
-    first: int = 0
-
-    def step(self, value: Array, local: LinkContext) -> Step:
-        """Return the point (3, n)."""
-        shift = local.rows(self.block)
-        by_shift = self.sign * _EYE[:, self.first : self.first + len(shift)]
-        if self.condition:
-            by_shift = by_shift * local.observations.conditions[self.condition]
-        return Step(value + (by_shift * shift).sum(axis=1), _EYE, {self.block: by_shift})
 
 
 @dataclass(frozen=True)
@@ -44,26 +24,20 @@ class MachineBow(OfBlock):
     """
 
     axis: int
-    poses: str = "spindle"
-    """Block of the commanded poses (x, y, z, ...)"""
+    others = (SPINDLE,)
     takes = gives = Quantity.POINT_IN_MACHINE
-
-    @property
-    def blocks(self) -> tuple[str, ...]:
-        """The block of commanded poses, and its own block."""
-        return (self.poses, self.block)
 
     def step(self, value: Array, local: LinkContext) -> Step:
         """Return the point (3, n) relative to the true position of the machine."""
-        commanded, bends = local.rows(self.poses), local.rows(self.block)
-        along, n = local.members(self.poses)[:, self.axis], value.shape[1]
+        commanded, bends = local.rows(SPINDLE), local.rows(self.block)
+        along, n = local.members(SPINDLE)[:, self.axis], value.shape[1]
         # the middle is that of the file: poses that are estimated move it by less than counts
         position = commanded[self.axis] - (along.min() + along.max()) / 2
         by_bend, by_pose = np.zeros((3, 2, n)), np.zeros((3, len(commanded), n))
         for column, across in enumerate([(self.axis + 1) % 3, (self.axis + 2) % 3]):
             by_bend[across, column] = -(position**2)
             by_pose[across, self.axis] = -2 * position * bends[column]
-        return Step(value + (by_bend * bends).sum(axis=1), _EYE, {self.poses: by_pose, self.block: by_bend})
+        return Step(value + (by_bend * bends).sum(axis=1), _EYE, {SPINDLE: by_pose, self.block: by_bend})
 
 
 @dataclass(frozen=True)
@@ -76,24 +50,18 @@ class MachineError(OfBlock):
 
     moved: int
     along: int
-    poses: str = "spindle"
-    """Block of the commanded poses (x, y, z, ...)"""
+    others = (SPINDLE,)
     takes = gives = Quantity.POINT_IN_MACHINE
-
-    @property
-    def blocks(self) -> tuple[str, ...]:
-        """The block of commanded poses, and its own block."""
-        return (self.poses, self.block)
 
     def step(self, value: Array, local: LinkContext) -> Step:
         """Return the point (3, n) relative to the true position of the machine."""
         error = local.rows(self.block)[0]
-        commanded = local.rows(self.poses)
+        commanded = local.rows(SPINDLE)
         by_error = np.zeros((3, 1, value.shape[1]))
         by_error[self.moved, 0] = -commanded[self.along]
         by_pose = np.zeros((3, len(commanded), value.shape[1]))
         by_pose[self.moved, self.along] = -error
-        return Step(value + by_error[:, 0] * error, _EYE, {self.poses: by_pose, self.block: by_error})
+        return Step(value + by_error[:, 0] * error, _EYE, {SPINDLE: by_pose, self.block: by_error})
 
 
 @dataclass(frozen=True)
@@ -127,19 +95,13 @@ class MachineAngles(OfBlock):
     """
 
     axis: int
-    poses: str = "spindle"
-    """Block of the commanded poses (x, y, z, ...)"""
+    others = (SPINDLE,)
     takes = gives = Quantity.POINT_IN_MACHINE
-
-    @property
-    def blocks(self) -> tuple[str, ...]:
-        """The block of commanded poses, and its own block."""
-        return (self.poses, self.block)
 
     def step(self, value: Array, local: LinkContext) -> Step:
         """Return the point (3, n) relative to the spindle as it truly stands."""
-        commanded, rates = local.rows(self.poses), local.rows(self.block)
-        along = local.members(self.poses)[:, self.axis]
+        commanded, rates = local.rows(SPINDLE), local.rows(self.block)
+        along = local.members(SPINDLE)[:, self.axis]
         position = commanded[self.axis] - (along.min() + along.max()) / 2
         lever = value - commanded[:3]
         turned = np.moveaxis(cross_matrix((rates * position).T), 0, -1)
@@ -148,4 +110,4 @@ class MachineAngles(OfBlock):
         by_pose[:, :3] = turned
         by_pose[:, self.axis] -= np.cross(rates, lever, axis=0)
         moved = value - np.einsum("abn,bn->an", turned, lever)
-        return Step(moved, np.eye(3)[:, :, None] - turned, {self.poses: by_pose, self.block: by_rates})
+        return Step(moved, np.eye(3)[:, :, None] - turned, {SPINDLE: by_pose, self.block: by_rates})

@@ -40,12 +40,8 @@ class StationDrift(OfBlock):
 class TargetRaised(OfBlock):
     """The target stands higher above its point: `X += dh u`, u the vertical there; column dh [mm]."""
 
+    others = (SETUP,)  # only sightings of raised targets have this block
     takes = gives = Quantity.POINT_IN_MACHINE
-
-    @property
-    def blocks(self) -> tuple[str, ...]:
-        """The block of set-ups, which only sightings of raised targets have, and its own block."""
-        return (SETUP, self.block)
 
     def step(self, value: Array, local: LinkContext) -> Step:
         """Return the point (3, n)."""
@@ -57,12 +53,8 @@ class TargetRaised(OfBlock):
 class StationRaised(OfBlock):
     """A station stands higher over its point than listed: `X -= dh u`, u the vertical there; column dh [mm]."""
 
+    others = (OVER,)
     takes = gives = Quantity.POINT_IN_MACHINE
-
-    @property
-    def blocks(self) -> tuple[str, ...]:
-        """The block of stations over points, and its own block."""
-        return (OVER, self.block)
 
     def step(self, value: Array, local: LinkContext) -> Step:
         """Return the point relative to the true station, (3, n)."""
@@ -76,12 +68,8 @@ class ListedWrongly(OfBlock):
 
     point: str
     reader: ReadBlock | ReadEntries | None = None
+    others = (POINT,)
     takes = gives = Quantity.PARAMETERS
-
-    @property
-    def blocks(self) -> tuple[str, ...]:
-        """The block of points, and its own block."""
-        return (POINT, self.block)
 
     def within(self, before: Chain) -> ListedWrongly:
         """Return the effect for what reads the coordinates before it."""

@@ -8,8 +8,7 @@ from metrocli.adjust.model.quantities import Quantity
 from metrocli.effects.acting import Acting, components, point, seen_from
 from metrocli.effects.effect import Effect, Parameter, change_points, sizes
 from metrocli.effects.links.angles import Tilted, Turned
-from metrocli.effects.links.lengths import LengthOffset
-from metrocli.effects.links.points import PointStep
+from metrocli.effects.links.points import Shift
 from metrocli.effects.links.stations import (
     IN_ORDER,
     HeightStep,
@@ -39,7 +38,7 @@ _OF_PLACES: tuple[Effect, ...] = (
         "point-moved",
         "a point was knocked or its nest touched: from a time on it stands elsewhere",
         sizes("dx dy dz", "length", "1 mm"),
-        lambda block, where: PointStep(block),
+        lambda block, where: Shift(block, Quantity.POINT_IN_MACHINE, since="t"),
         where=("point",),
         by="t",
         scanned=_AT,
@@ -54,7 +53,7 @@ _OF_PLACES: tuple[Effect, ...] = (
         "point-moved",
         "a point was knocked or its nest touched: from one station on it stands elsewhere",
         sizes("dx dy dz", "length", "1 mm"),
-        lambda block, where: PointStep(block, condition=IN_ORDER),
+        lambda block, where: Shift(block, Quantity.POINT_IN_MACHINE, since=IN_ORDER),
         where=("point",),
         scanned=(Parameter("from_station", place="station"),),
         needs=(IN_ORDER,),
@@ -69,7 +68,7 @@ _OF_PLACES: tuple[Effect, ...] = (
         "station-moved",
         "a station was pushed during its measurement",
         sizes("dx dy dz", "length", "1 mm"),
-        lambda block, where: PointStep(block, -1.0),
+        lambda block, where: Shift(block, Quantity.POINT_IN_MACHINE, sign=-1.0, since="t"),
         where=("station",),
         scanned=_AT,
         needs=("t",),
@@ -163,7 +162,7 @@ _OF_PLACES: tuple[Effect, ...] = (
         "bar-error",
         "the certificate of a bar, or the way it lies, is wrong",
         sizes("step", "length", "10 mm"),
-        lambda block, where: LengthOffset(block),
+        lambda block, where: Shift(block, Quantity.LENGTH),
         where=("bar",),
         confused_with=("point-moved",),
         formula="listed length += step",

@@ -5,8 +5,8 @@ from __future__ import annotations
 from metrocli.adjust.model.quantities import Quantity
 from metrocli.effects.effect import ELAPSED, WARMING, Effect, Parameter, sizes
 from metrocli.effects.links.images import LensChange
-from metrocli.effects.links.points import Growth, Stretch
-from metrocli.effects.links.shifts import CouplingTilt, MachineAngles, MachineBow, MachineError, Shift
+from metrocli.effects.links.points import Growth, LinearTerms, Shift
+from metrocli.effects.links.shifts import CouplingTilt, MachineAngles, MachineBow, MachineError
 from metrocli.tasks.shared.images.places import (
     IMAGE,
     PERSPECTIVE_BLUR,
@@ -106,7 +106,7 @@ EFFECTS: tuple[Effect, ...] = (
         "stretched-targets",
         "the list of targets is longer in x than in y, or sheared: it was measured with a wrong scale in one direction",
         (*sizes("stretch", "ratio", "1 percent"), *sizes("shear", "angle", "10 mrad")),
-        lambda block, where: Stretch(block, _PART),
+        lambda block, where: LinearTerms(block, _PART, ((0, 0), (0, 1))),
         confused_with=("machine-scale", "machine-squareness", "part-expansion"),
         formula="X <- X (1 + stretch) + shear Y",
         usual="10 to 2000 ppm",

@@ -5,7 +5,7 @@ from __future__ import annotations
 from metrocli.adjust.model.quantities import Quantity
 from metrocli.effects.effect import ELAPSED, WARMING, Effect, Parameter, sizes
 from metrocli.effects.links.images import LensChange
-from metrocli.effects.links.points import Growth, PlaneBend, Stretch
+from metrocli.effects.links.points import Growth, LinearTerms, PlaneBend
 from metrocli.tasks.calibrate_camera.image_groups import SERIES, TURN
 from metrocli.tasks.calibrate_camera.shape.effect import LENS_SHAPE
 from metrocli.tasks.shared.images.places import (
@@ -154,7 +154,7 @@ EFFECTS: tuple[Effect, ...] = (
         "stretched-targets",
         "the list of targets is longer in x than in y, or sheared: a printer's feed, paper that grows across its grain",
         (*sizes("stretch", "ratio", "1 percent"), *sizes("shear", "angle", "10 mrad")),
-        lambda block, where: Stretch(block, Quantity.POINT_ON_BOARD),
+        lambda block, where: LinearTerms(block, Quantity.POINT_ON_BOARD, ((0, 0), (0, 1))),
         confused_with=("aspect-ratio", "axis-skew"),
         formula="X <- X (1 + stretch) + shear Y",
         note="Laser printers differ by 0.1 percent between feed and scan, a digital sensor by less than 1e-4. "

@@ -5,8 +5,7 @@ from __future__ import annotations
 from metrocli.adjust.model.quantities import Quantity
 from metrocli.effects.acting import point, seen_from
 from metrocli.effects.effect import Effect, sizes
-from metrocli.effects.links.points import AxisError
-from metrocli.effects.links.shifts import Shift
+from metrocli.effects.links.points import LinearTerms, Shift
 
 MEASURED = Quantity.POINT_IN_PART
 """The points as measured"""
@@ -35,7 +34,7 @@ EFFECTS: tuple[Effect, ...] = (
         "machine-scale",
         "the scale of one axis of the machine that measured is wrong",
         sizes("scale", "ratio", "2000 ppm"),
-        lambda block, where: AxisError(block, "xyz".index(where["axis"]), "xyz".index(where["axis"]), MEASURED),
+        lambda block, where: LinearTerms(block, MEASURED, (("xyz".index(where["axis"]), "xyz".index(where["axis"])),)),
         where=("axis",),
         confused_with=(EXPANSION, "machine-squareness"),
         formula="X_measured along the axis *= 1 + scale",
@@ -47,7 +46,9 @@ EFFECTS: tuple[Effect, ...] = (
         "machine-squareness",
         "two axes of the machine that measured are not square to each other",
         sizes("angle", "angle", "2 mrad"),
-        lambda block, where: AxisError(block, "xyz".index(where["pair"][0]), "xyz".index(where["pair"][1]), MEASURED),
+        lambda block, where: LinearTerms(
+            block, MEASURED, (("xyz".index(where["pair"][0]), "xyz".index(where["pair"][1])),)
+        ),
         where=("pair",),
         confused_with=("machine-scale",),
         formula="xy: x_measured += angle y; xz: x_measured += angle z; yz: y_measured += angle z",

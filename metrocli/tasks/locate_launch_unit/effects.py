@@ -9,10 +9,9 @@ from metrocli.adjust.model.chain import Link
 from metrocli.adjust.model.quantities import Quantity
 from metrocli.effects.acting import PLACE, TIMED, Acting, beam_from, components, point, scalar, seen_from
 from metrocli.effects.effect import Effect, sizes
-from metrocli.effects.links.angles import BaseTilt, EncoderLag, EncoderOffset, Harmonic, NonOrthogonality
-from metrocli.effects.links.lengths import BeamHeight, BeamOffset, LengthOffset, LengthScale
-from metrocli.effects.links.points import AxisError
-from metrocli.effects.links.shifts import Shift
+from metrocli.effects.links.angles import BaseTilt, Harmonic, NonOrthogonality
+from metrocli.effects.links.lengths import BeamHeight, BeamOffset
+from metrocli.effects.links.points import Growth, LinearTerms, Shift
 from metrocli.instruments.launch_unit import ENCODERS, TURNED, UNIT
 
 LAUNCH, RECEIVER = UNITS = "launch", "receiver"
@@ -30,11 +29,13 @@ def _harmonic(block: str, where: Mapping[str, str]) -> Link:
 
 
 def _offset(block: str, where: Mapping[str, str]) -> Link:
-    return EncoderOffset(block, *ENCODERS[where["encoder"]])
+    at, component = ENCODERS[where["encoder"]]
+    return Shift(block, at, first=component)
 
 
 def _lag(block: str, where: Mapping[str, str]) -> Link:
-    return EncoderLag(block, *ENCODERS[where["encoder"]], TURNED.format(**where))
+    at, component = ENCODERS[where["encoder"]]
+    return Shift(block, at, sign=-0.5, condition=TURNED.format(**where), first=component)
 
 
 def _tilt(block: str, where: Mapping[str, str]) -> Link:
@@ -47,12 +48,12 @@ def _skew(block: str, where: Mapping[str, str]) -> Link:
 
 def _scale(block: str, where: Mapping[str, str]) -> Link:
     axis = AXES.index(where["axis"])
-    return AxisError(block, axis, axis)
+    return LinearTerms(block, Quantity.POINT_IN_MACHINE, ((axis, axis),))
 
 
 def _squareness(block: str, where: Mapping[str, str]) -> Link:
     pair = where["pair"]
-    return AxisError(block, AXES.index(pair[0]), AXES.index(pair[1]))
+    return LinearTerms(block, Quantity.POINT_IN_MACHINE, ((AXES.index(pair[0]), AXES.index(pair[1])),))
 
 
 _POSE = ("pose",)
@@ -193,7 +194,7 @@ EFFECTS: tuple[Effect, ...] = (
         "distance-offset",
         "all distances are off by the same amount: their zero is not at the control points",
         sizes("offset", "length", "10 mm"),
-        lambda block, where: LengthOffset(block),
+        lambda block, where: Shift(block, Quantity.LENGTH),
         needs=("distance",),
         confused_with=("distance-scale",),
         formula="distance += offset",
@@ -205,7 +206,7 @@ EFFECTS: tuple[Effect, ...] = (
         "distance-scale",
         "all distances are too long in proportion: wavelength, air, or the machine's own scale",
         sizes("scale", "ratio", "1 percent"),
-        lambda block, where: LengthScale(block),
+        lambda block, where: Growth(block, Quantity.LENGTH),
         needs=("distance",),
         confused_with=("distance-offset", "machine-scale"),
         formula="distance *= 1 + scale",

@@ -170,7 +170,7 @@ def quick_start(network: TracerNetwork) -> dict[str, Block]:
         return undisturbed_start(network)
     kept = np.ones(len(seen), dtype=bool)
     kept[ours] = False
-    # always the same sample: a job has one result (docs/decisions/062-starts-from-a-sample.md)
+    # always the same sample: a job has one result (docs/tasks/multilaterate.md#speed)
     kept[Random(0).sample(ours.tolist(), _SAMPLE)] = True
     if not network.unknown[seen].all():  # other groups use the numbers of the points
         return undisturbed_start(network.only(kept[network.lengths.observations.index[t.POINT]]))

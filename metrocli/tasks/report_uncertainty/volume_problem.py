@@ -229,7 +229,7 @@ def _double(settings: Entries, results: Mapping[str, Result]) -> Iterable[str]:
     for source, names in sources.items():
         if len(names) > 1:
             message = f"{' and '.join(names)} have the common source '{source}'"
-            # a common source is fully correlated (docs/decisions/048-two-maxima-of-a-volume.md)
+            # a common source is fully correlated (docs/tasks/report-uncertainty.md)
             yield f"{message}: they are added linearly, because they are fully correlated"
     yield from _of_results(placed, results, labels)
 

@@ -7,7 +7,8 @@ from dataclasses import replace
 from metrocli.adjust.model.quantities import Quantity
 from metrocli.effects.acting import Acting, commanded, point, seen_from
 from metrocli.effects.effect import ELAPSED, Effect, Parameter, change_points, sizes
-from metrocli.effects.links.balls import BallShift, Bending, Growth, ReadingDrift, ReadingScale, ReadingStep
+from metrocli.effects.links.points import BallShift, Growth, LinearTerms, Shift
+from metrocli.instruments.ball_grid import HOLLOW
 
 AXES = ("x", "y", "z")
 
@@ -33,7 +34,7 @@ EFFECTS: tuple[Effect, ...] = (
         "artefact-expansion",
         "the artefact is warmer or colder in one view than in the first",
         sizes("scale", "ratio", "50 ppm"),
-        lambda block, where: Growth(block),
+        lambda block, where: Growth(block, Quantity.BALL_IN_ARTEFACT),
         where=("view",),
         not_first=("view",),
         confused_with=("axis-expansion", "artefact-bending", "drift-in-view"),
@@ -47,7 +48,7 @@ EFFECTS: tuple[Effect, ...] = (
         "artefact-bending",
         "the artefact bends under its own weight or its clamps in one view",
         sizes("b", "curvature", "1e-6 1/mm"),
-        lambda block, where: Bending(block),
+        lambda block, where: Shift(block, Quantity.MACHINE_READING, sign=-1.0, condition=HOLLOW, first=2),
         where=("view",),
         confused_with=("artefact-expansion", "axis-expansion"),
         formula="z -= b (rho² - mean rho²)    # machine z; rho: horizontal distance from the artefact's centre",
@@ -61,7 +62,7 @@ EFFECTS: tuple[Effect, ...] = (
         "drift-in-view",
         "machine and artefact move against each other while one view is measured",
         sizes("vx vy vz", "speed", "20 um/h"),
-        lambda block, where: ReadingDrift(block, ELAPSED),
+        lambda block, where: Shift(block, Quantity.MACHINE_READING, condition=ELAPSED),
         where=("view",),
         needs=("t",),
         confused_with=("axis-expansion", "reseated-artefact", "artefact-expansion"),
@@ -76,7 +77,7 @@ EFFECTS: tuple[Effect, ...] = (
         "reseated-artefact",
         "the artefact was knocked or seated anew in the middle of one view",
         sizes("dx dy dz", "length", "0.1 mm"),
-        lambda block, where: ReadingStep(block),
+        lambda block, where: Shift(block, Quantity.MACHINE_READING, since="t"),
         where=("view",),
         scanned=(Parameter("at", "time", grid=change_points),),
         needs=("t",),
@@ -104,7 +105,9 @@ EFFECTS: tuple[Effect, ...] = (
         "axis-expansion",
         "the scale of one axis of the machine is warmer or colder in one view",
         sizes("scale", "ratio", "50 ppm"),
-        lambda block, where: ReadingScale(block, AXES.index(where["axis"])),
+        lambda block, where: LinearTerms(
+            block, Quantity.MACHINE_READING, ((AXES.index(where["axis"]), AXES.index(where["axis"])),)
+        ),
         where=("view", "axis"),
         confused_with=("artefact-expansion", "artefact-bending", "drift-in-view"),
         formula="x_axis *= 1 + scale, about the centre of the grid, in that view",

@@ -11,8 +11,8 @@ from metrocli.adjust.model.quantities import Quantity
 from metrocli.arrays import Array
 from metrocli.effects.acting import Acting, Variable, beam_from, scalar, seen_from
 from metrocli.effects.effect import ELAPSED, WARMING, Effect, Parameter, change_points, sizes
-from metrocli.effects.links.lengths import AirGradient, BeamScale, LengthJump, LengthOffset, LengthTerms, TracerDrift
-from metrocli.effects.links.points import PointStep
+from metrocli.effects.links.lengths import AirGradient, BeamScale, LengthTerms
+from metrocli.effects.links.points import Shift
 from metrocli.instruments.tracer import COS_2A, COS_A, INCIDENCE, SIN_2A, SIN_A, TRACER
 
 AT = ("tracer", "point")
@@ -103,7 +103,7 @@ LENGTH_EFFECTS: tuple[Effect, ...] = (
         "length-offset",
         "all absolute distances are off by the same amount: zero error of the instrument, delay of its electronics",
         sizes("offset", "length", "1 m"),
-        lambda block, where: LengthOffset(block),
+        lambda block, where: Shift(block, Quantity.LENGTH),
         confused_with=("length-scale",),
         formula="l += offset",
         note="With `measures: changes` the dead paths absorb it exactly.",
@@ -129,7 +129,7 @@ LENGTH_EFFECTS: tuple[Effect, ...] = (
         "dead-path-drift",
         "the dead path of one tracer grows: its stand, its optics or the air in it warm up",
         sizes("rate", "speed", "1 um/min"),
-        lambda block, where: LengthTerms(block, (ELAPSED,)),
+        lambda block, where: Shift(block, Quantity.LENGTH, condition=ELAPSED),
         where=("tracer",),
         needs=("t",),
         confused_with=("tracer-drift", "refraction-drift"),
@@ -144,7 +144,7 @@ LENGTH_EFFECTS: tuple[Effect, ...] = (
         "dead-path-jump",
         "the beam of one tracer was interrupted and recovered, or the tracer was displaced along the beam",
         sizes("step", "length", "1 mm"),
-        lambda block, where: LengthJump(block),
+        lambda block, where: Shift(block, Quantity.LENGTH, since="t"),
         where=("tracer",),
         scanned=(Parameter("at", "time", grid=change_points),),
         needs=("t",),
@@ -159,7 +159,7 @@ LENGTH_EFFECTS: tuple[Effect, ...] = (
         "tracer-drift",
         "one tracer moves on its stand during the measurement",
         sizes("vx vy vz", "speed", "1 um/min"),
-        lambda block, where: TracerDrift(block),
+        lambda block, where: Shift(block, Quantity.POINT_IN_MACHINE, sign=-1.0, condition=ELAPSED),
         where=("tracer",),
         needs=("t",),
         turns=True,
@@ -187,7 +187,7 @@ LENGTH_EFFECTS: tuple[Effect, ...] = (
         "reflector-incidence",
         "the length changes with the angle at which the beam enters the reflector",
         sizes("c", "length", "20 um"),
-        lambda block, where: LengthTerms(block, (INCIDENCE,)),
+        lambda block, where: Shift(block, Quantity.LENGTH, condition=INCIDENCE),
         confused_with=("tracer-scale",),
         formula="l += c (1 - cos i)    # i: angle at the reflector between its axis, +z, and the beam",
         note="With one common reflector axis the positions and dead paths of the tracers absorb it exactly: it "
@@ -200,7 +200,7 @@ LENGTH_EFFECTS: tuple[Effect, ...] = (
         "reseated-reflector",
         "the reflector was taken out of its nest, put back, and sits in another place",
         sizes("dx dy dz", "length", "1 mm"),
-        lambda block, where: PointStep(block),
+        lambda block, where: Shift(block, Quantity.POINT_IN_MACHINE, since="t"),
         scanned=(Parameter("at", "time", grid=change_points),),
         needs=("t",),
         confused_with=("tracer-drift", "dead-path-jump"),
@@ -214,7 +214,7 @@ LENGTH_EFFECTS: tuple[Effect, ...] = (
         "moved-point",
         "one length is wrong",
         sizes("step", "length", "10 m"),
-        lambda block, where: LengthOffset(block),
+        lambda block, where: Shift(block, Quantity.LENGTH),
         where=("point", "tracer"),
         formula="l += step",
         note="`diagnose` lists it as a wrong reading. With four tracers every other length of the point "

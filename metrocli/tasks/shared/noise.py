@@ -29,7 +29,6 @@ _MOST_BLOCKS, _LEAST_IN_BLOCK = 6, 2
 """Measurements in time are cut into so many blocks at most, of so many points at least"""
 _ROUNDS, _SETTLED = 6, 1e-3
 """Adjustments until the noise agrees with the residuals, and the relative change at which it does"""
-_CONTROLLED = 1e-6
 
 
 class Scalable(Protocol):
@@ -82,7 +81,7 @@ def weighed(model: str, problem: P, solve: Callable[[P], S]) -> tuple[S, float]:
 def in_blocks(order: Array) -> Index:
     """Return the block (n,) of each of n measurements, of about equally many that follow each other."""
     # six: sixteen blocks gave intervals that hold 85 % of the truth, fewer leave too few degrees of freedom
-    # (docs/decisions/067-structured-noise.md)
+    # (docs/algorithms/cluster-robust-covariance.md)
     count = min(_MOST_BLOCKS, max(len(order) // _LEAST_IN_BLOCK, 1))
     rank = np.argsort(np.argsort(order, kind="stable"), kind="stable")
     return np.asarray(rank * count // max(len(order), 1), dtype=np.intp)

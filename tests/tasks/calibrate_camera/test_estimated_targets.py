@@ -107,7 +107,7 @@ def test_a_sigma_of_the_list_counts() -> None:
     assert (result.tables["points"].numbers("sx")[4:] > 0).all()
 
 
-@pytest.mark.parametrize("rig", ["board", "network"])
+@pytest.mark.parametrize("rig", ["board", pytest.param("network", marks=pytest.mark.slow)])
 def test_a_flat_board_has_unknown_coordinates_in_its_plane_only(rig: str) -> None:
     listed, scores = board(), []
     unknown = {f"sigma_{axis}": np.full(len(listed), 0.0 if axis == "z" else np.nan) for axis in "xyz"}

@@ -121,7 +121,8 @@ def test_distortion_is_no_other_order() -> None:
     assert "image i0 fits no view" in words(near_and_far(9, 0.4, 700, ()))
 
 
-@pytest.mark.parametrize("more", [0, pytest.param(1, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("more", [0, 1])
 def test_images_of_one_row_of_targets_are_in_no_other_order(more: int) -> None:
     """No homography follows from targets on a line, nor from one more."""
     job = near_and_far(10, 0.0, 0, ())

@@ -152,7 +152,11 @@ EFFECTS: list[tuple[Callable[[str, float, int], Array], str, dict[str, float]]] 
 ]
 
 
-@pytest.mark.parametrize(("planted", "text", "truth"), EFFECTS, ids=[one[1].split(",")[0] for one in EFFECTS])
+@pytest.mark.parametrize(
+    ("planted", "text", "truth"),
+    [pytest.param(*one, marks=() if one[0] is crash else pytest.mark.slow) for one in EFFECTS],
+    ids=[one[1].split(",")[0] for one in EFFECTS],
+)
 def test_an_effect_in_the_job_is_estimated(
     planted: Callable[[str, float, int], Array], text: str, truth: dict[str, float], tmp_path: Path
 ) -> None:

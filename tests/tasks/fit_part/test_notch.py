@@ -25,7 +25,7 @@ OTHERS = [(16, (2, 5), 0.08), (18, (2, 5), 0.08), *DEEP[1:]]
 
 @pytest.mark.parametrize(
     ("seed", "missing", "to_edges"),
-    [(5, (2, 5), 0.08), DEEP[0], *(pytest.param(*one, marks=pytest.mark.slow) for one in OTHERS)],
+    [(5, (2, 5), 0.08), *(pytest.param(*one, marks=pytest.mark.slow) for one in (DEEP[0], *OTHERS))],
 )
 def test_named_surfaces_contradict_each_other_and_each_is_needed(
     seed: int, missing: tuple[float, float], to_edges: float

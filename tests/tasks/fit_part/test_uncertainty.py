@@ -131,10 +131,8 @@ def test_the_largest_least_overstock_scatters_as_stated_while_its_points_change(
     assert np.abs(ratio - 1).max() < 0.25  # 3 standard deviations of 200 draws against 100
 
 
-@pytest.mark.parametrize(
-    ("aim", "minimum", "seed"),
-    [pytest.param(*one, marks=pytest.mark.slow if one[0] == "even" else ()) for one in AT_THE_MINIMUM],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize(("aim", "minimum", "seed"), AT_THE_MINIMUM)
 def test_a_pose_held_at_the_minimum_scatters_as_stated_while_its_points_change(
     aim: str, minimum: float, seed: int, tmp_path: Path
 ) -> None:

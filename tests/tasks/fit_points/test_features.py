@@ -68,7 +68,7 @@ def test_a_cylinder_is_that_of_scipy_with_its_uncertainty(tmp_path: Path, metroc
     assert found["bore.radius"]["std"] == pytest.approx(0.003 * std[4], rel=1e-6)
 
 
-SLOW = (IdealFeature.CYLINDER, IdealFeature.CONE)
+SLOW = (IdealFeature.CYLINDER, IdealFeature.CONE, IdealFeature.SPHERE)
 """Shapes whose fit begins from many directions"""
 
 

@@ -153,6 +153,7 @@ def test_stations_laid_onto_uncertain_nominal_places() -> None:
     assert result.estimates[0].name == "S1.x"
 
 
+@pytest.mark.slow
 def test_stated_uncertainties_hold() -> None:
     z: list[Array] = []
     for seed in range(40):

@@ -99,6 +99,7 @@ def beam_at(unit: np.ndarray, azimuth: float, tilt: float, receiver: np.ndarray)
     return (to @ w) * w - to, w
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("line", "encoder"), [(0, PAPER_ENCODER), pytest.param(5, 5 * ARCSEC, marks=pytest.mark.slow)])
 def test_the_predicted_beam_at_4_m_holds_in_simulation(line: int, encoder: float) -> None:
     """Locate with noise, command, aim with noise: 95 % of 200 beams in the stated ellipse, and in range as stated."""

@@ -169,6 +169,7 @@ def test_files_in_different_units_that_say_so_are_one(folder: Path, metrocli: Me
     assert metrocli("multilaterate", "job.yaml").code == 0
 
 
+@pytest.mark.slow
 def test_a_mirrored_list_of_points_is_told_by_the_tracers(folder: Path, metrocli: Metrocli) -> None:
     """Lengths fit the mirror image as well: the list of tracers alone shows it."""
     assert "far from their listed places" not in metrocli("multilaterate", "job.yaml").err

@@ -39,6 +39,7 @@ def test_with_five_tracers_a_coin_is_not_tossed() -> None:
     assert shares[False] >= 3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("m", "least"), [(6, 0.88), pytest.param(8, 0.95, marks=pytest.mark.slow)])
 def test_errors_of_2_um_are_put_on_the_right_length(m: int, least: float) -> None:
     """The rates of 500 cases are those of `python -m benchmarks.blunders`; of 30 a binomial spread is allowed for."""

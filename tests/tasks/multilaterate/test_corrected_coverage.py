@@ -10,7 +10,8 @@ from benchmarks.corrected import CASES, measured
 RUNS = 40
 
 
-@pytest.mark.parametrize("case", [pytest.param(CASES[2], marks=pytest.mark.slow), CASES[3]], ids=lambda case: case.name)
+@pytest.mark.slow
+@pytest.mark.parametrize("case", CASES[2:4], ids=lambda case: case.name)
 def test_corrected_points_scatter_as_stated(case) -> None:  # type: ignore[no-untyped-def]
     """6 seats of the reflector, or one growth, dominate a run: its mean square scatters by about 0.5."""
     squares = []

@@ -10,7 +10,7 @@ from metrocli.result import Result
 from metrocli.tasks.multilaterate import task as multilaterate
 
 Wide = np.typing.NDArray[np.longdouble]
-CASES = [(m, scale) for m in (4, 5, 6) for scale in (None, 5e-7)]
+CASES = [pytest.param(m, scale, marks=pytest.mark.slow if m == 6 else ()) for m in (4, 5, 6) for scale in (None, 5e-7)]
 
 
 def inverse(matrix: Wide) -> Wide:

@@ -267,6 +267,7 @@ def test_a_cluster_gives_the_same_bits(cluster: tuple[Path, Any], trials: Any, t
     assert bits(here.path) == bits(there.path)
 
 
+@pytest.mark.slow
 def test_a_worker_killed_in_the_middle_changes_no_bit(
     cluster: tuple[Path, list[subprocess.Popen[bytes]]], tmp_path: Path
 ) -> None:

@@ -28,6 +28,7 @@ def problem(n: int, views: str = "1234", seed: int = 0, drop: float = 0.0) -> tu
     return build(readings, (settings.grid.half, PITCH), settings.noise), one
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("views", "drop"), [("1234", 0.0), pytest.param("123456", 0.15, marks=pytest.mark.slow)])
 def test_intervals_cover_what_they_say(views: str, drop: float) -> None:
     """95 % intervals of the machine error over 100 measurements of one machine, and the global test."""

@@ -91,7 +91,7 @@ def test_reduced_sets_leave_what_is_known(views: str, n: int) -> None:
 
 
 @pytest.mark.parametrize(
-    "views", ["1234", "123", *(pytest.param(one, marks=pytest.mark.slow) for one in ("124", "134"))]
+    "views", ["123", *(pytest.param(one, marks=pytest.mark.slow) for one in ("1234", "124", "134"))]
 )
 def test_uncertainties_are_those_of_dense_algebra(views: str) -> None:
     """Variances, redundancies and the datum against a pseudo-inverse followed by an S-transformation."""

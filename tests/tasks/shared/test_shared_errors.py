@@ -33,7 +33,7 @@ Metrocli = Callable[..., Any]
 @pytest.mark.parametrize(
     ("kind", "runs", "white"),
     [
-        ("multilaterate", 16, 88),
+        pytest.param("multilaterate", 16, 88, marks=pytest.mark.slow),
         pytest.param("locate-launch-unit", 40, 88, marks=pytest.mark.slow),
         ("calibrate-machine", 3, 92),
     ],

@@ -66,7 +66,6 @@ def expanded(up: Array, down: Array, targets: Array, known: LineUncertainty) -> 
         # the derivatives of mean and standard deviation are square to each other, and those of the latter add up to 0
         squares = (part.mean**2 / runs + part.spread**2 / np.maximum(runs - 1, 1)).sum()
         # the printed factors of ISO 230-2 hold for five runs, this for any number
-        # (docs/decisions/116-acceptance-figures.md)
         u = COVERAGE * np.hypot(known.reading * np.sqrt(squares), known.scale * (part.mean * targets).sum())
         expansions[name] = float(u) if np.isfinite(values[name]) else float("nan")
     return expansions

@@ -23,7 +23,7 @@ from metrocli.effects.links.motions import (
     StraightnessReversal,
     ThermalGrowth,
 )
-from metrocli.effects.links.shifts import Shift
+from metrocli.effects.links.points import Shift
 from metrocli.instruments.machine_path import SINCE, SPEED
 
 SCHWENKE = "Schwenke et al. 2008, Geometric error measurement and compensation of machines, CIRP Annals 57"

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from metrocli.adjust.model.quantities import Quantity
 from metrocli.effects.effect import ELAPSED, WARMING, Effect, Parameter, sizes
-from metrocli.effects.links.angles import OnPoint, TrackerMoves
+from metrocli.effects.links.angles import OnPoint
 from metrocli.effects.links.motions import LineTerm, ZeroDrift
+from metrocli.effects.links.points import Shift
 from metrocli.instruments.six_dof import FROM_START
 from metrocli.instruments.tracker import FACE
 from metrocli.tasks.calibrate_machine.effects.machine import SCHWENKE, VELOCITY
@@ -33,7 +35,7 @@ OF_THE_TRACKER: tuple[Effect, ...] = (
         "tracker-drift",
         "the tracker moves on its stand while the machine is measured",
         VELOCITY,
-        lambda block, where: TrackerMoves(block),
+        lambda block, where: Shift(block, Quantity.POINT_IN_MACHINE, sign=-1.0, condition=ELAPSED),
         needs=("t",),
         confused_with=("machine-drift", "thermal-growth"),
         formula="point in the machine -= (vx, vy, vz) t    # along the axes of the machine",

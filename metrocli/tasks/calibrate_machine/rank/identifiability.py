@@ -130,7 +130,7 @@ def identify(problem: MachineProblem) -> Identifiability:
     matrix = normal_matrix(at_knots(problem), blocks, unknowns)
     values, vectors = np.linalg.eigh(matrix * reach[:, None] * reach)
     # in units of what is plausible: below 1 a combination is known worse than without any reading
-    # (docs/decisions/035-harmless-and-harmful.md)
+    # (docs/tasks/calibrate-machine.md)
     opened = OpenDirections(vectors[:, values < 1.0], reach, unknowns, blocks, error_names(problem.machine))
     _refuse_harmful(problem, opened)
     held, undetermined = _hold(opened, problem.machine)

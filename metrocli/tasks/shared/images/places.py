@@ -12,8 +12,7 @@ from metrocli.arrays import Array
 from metrocli.effects.acting import PLACE, TIMED, Acting, Variable, components, condition, point, seen_from
 from metrocli.effects.effect import Effect, Parameter, sizes
 from metrocli.effects.links.images import TargetEccentricity
-from metrocli.effects.links.points import RowShear
-from metrocli.effects.links.shifts import Shift
+from metrocli.effects.links.points import RowShear, Shift
 from metrocli.effects.model import Model
 from metrocli.instruments.camera import LENS
 from metrocli.tasks.shared.images.settings import ROLLING

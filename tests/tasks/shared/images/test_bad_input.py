@@ -186,7 +186,13 @@ CASES = {
 }  # fmt: skip
 
 
-LONG = ("all views parallel, with distortion", "all readings alike", "targets in another order")
+LONG = (
+    "all views parallel, with distortion",
+    "all targets in one plane",
+    "targets at one place, part",
+    "all readings alike",
+    "targets in another order",
+)
 
 
 @pytest.mark.parametrize("name", [pytest.param(name, marks=pytest.mark.slow if name in LONG else ()) for name in CASES])

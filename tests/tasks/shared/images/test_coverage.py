@@ -7,7 +7,7 @@ import pytest
 
 from benchmarks import coverage
 
-RUNS = 100
+RUNS = 50
 ONE_PARAMETER = 3.29 * np.sqrt(0.95 * 0.05 / RUNS)
 """How far the coverage of one parameter may be off in 300 runs: exceeded by chance once in 1000"""
 KOLMOGOROV = 1.95

@@ -52,7 +52,7 @@ def fullest(scene: Scene) -> int:
     return int(np.bincount(scene.view).argmax())
 
 
-@pytest.mark.parametrize("kind", SCENES)
+@pytest.mark.parametrize("kind", ["calibrate-camera", pytest.param("align-part", marks=pytest.mark.slow)])
 def test_the_image_with_a_rolling_shutter_is_named(kind: str) -> None:
     rng = np.random.default_rng(5)
     scene = SCENES[kind](rng)
