@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -172,7 +172,7 @@ def simulate(job: Job[Settings, Files], options: SimulationOptions) -> Simulatio
     seen = sights([shown], views.only)
     seen, values = planted(true_model(settings.rig, shown, seen), seen, effects)
     table = sightings_table([shown], seen, sigma, rng)
-    drawn: Iterable[tuple[str, Draw]] = ()
+    drawn: Sequence[tuple[str, Draw]] = ()
     if options.images and settings.pattern is not None:
         refuse_pictures(effects)
         drawn = pictures([shown], settings.pattern, rng, views.only)
