@@ -154,6 +154,8 @@ class Keys:
         if place is None:
             return []
         body = "\n".join([place[1][3], *self._below(*place)])
+        if mapping := re.fullmatch(r"\s*\{(.*)\}\s*", body, re.DOTALL):
+            body = re.sub(r",\s*(?=\w+\s*:)", "\n", mapping[1].strip())
         inner = Keys(self._file, body)
         if inner._place("data") is None:
             return _entries(body)

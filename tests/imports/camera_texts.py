@@ -218,3 +218,9 @@ CALIBRATION = """<?xml version="1.0" encoding="UTF-8"?>
 MATLAB = """camera = cameraIntrinsics([500.0, 501.0], [322.0, 243.0], [480, 640], ...
   'RadialDistortion', [-0.1, 0.02], 'TangentialDistortion', [0.001, -0.002]);
 """
+IN_BRACES = """image_width: 640
+image_height: 480
+camera_matrix: {rows: 3, cols: 3, data: [500.0, 0, 321.0, 0, 501.0, 242.0, 0, 0, 1]}
+distortion_model: plumb_bob
+distortion_coefficients: {rows: 1, cols: 5, data: [-0.1, 0.02, 0.001, -0.002, 0]}
+"""

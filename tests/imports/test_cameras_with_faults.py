@@ -25,6 +25,7 @@ FORMATS = {
     "OpenCV, pair": f"%YAML:1.0\n{_ONE.format(1)}{_ONE.replace('500.', '600.').format(2)}{_SIZE}",
     "ROS, message": texts.MESSAGE,
     "ROS, camera_info": texts.ONE_A_LINE,
+    "ROS, in braces": texts.IN_BRACES,
     "ROS, oST": texts.OST,
     "camodocal": texts.CAMODOCAL,
     "camodocal, Kannala-Brandt": texts.KANNALA,
