@@ -126,7 +126,7 @@ def _projection_error(system: CameraSystem, adjusted: AdjustedImages) -> Table:
     for number, name in enumerate(solution.blocks[camera.LENS].members):
         mine = of == number
         link = next((one for one in system.shapes if one.member == number), None)
-        own = CameraOfSeveral(name, number, system.convention, system.size(name), link)
+        own = CameraOfSeveral(name, number, system.conventions[number], system.size(name), link)
         depth = float(np.median(far[mine]))
         parts.append(projection_of_member(solution, own, observations.readings[:, mine], depth))
     return Table.stack(parts)
@@ -179,7 +179,7 @@ def _cameras(system: CameraSystem, solution: Solution) -> Table:
     mount = solution.blocks[camera.MOUNT]
     sizes = np.array([system.size(name) for name in mount.members])
     named = [system.cameras[name].images for name in mount.members]
-    own = {"camera [text]": mount.members, "images [text]": named}
+    own = {"camera [text]": mount.members, "convention [text]": system.conventions, "images [text]": named}
     of_size = {"image_width": sizes[:, 0], "image_height": sizes[:, 1]}
     return Table.of(
         {**own, **of_size, **pose_columns(mount.values, solution.covariance_or_raise().members(camera.MOUNT))}
@@ -198,7 +198,7 @@ def _statistics(system: CameraSystem, adjusted: AdjustedImages, residuals: Resid
         "sigma0_low": low,
         "sigma0_high": high,
         "rig": system.rig,
-        "convention": system.convention,
+        "convention": " and ".join(dict.fromkeys(system.conventions)),
     }
     return image_statistics(adjusted, residuals, own)
 
@@ -221,8 +221,8 @@ def _folds(system: CameraSystem, adjusted: AdjustedImages) -> Iterator[tuple[str
     for number, name in enumerate(lens.members):
         values = lens.named(name)
         fold = None
-        if system.convention != "backward":
-            fold = projection_range(values, system.size(name), system.convention == "fisheye")
+        if system.conventions[number] != "backward":
+            fold = projection_range(values, system.size(name), system.conventions[number] == "fisheye")
         u, v = observations.readings[:, observations.index[camera.LENS] == number]
         if fold is not None and np.hypot(u - values["cx"], v - values["cy"]).max(initial=0.0) >= fold:
             yield (

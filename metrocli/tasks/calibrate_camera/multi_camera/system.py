@@ -57,9 +57,9 @@ class CameraSystem(Modelled):
         return self.model.group(IMAGES)
 
     @property
-    def convention(self) -> str:
-        """The convention of all lenses."""
-        return next(iter(self.cameras.values())).convention
+    def conventions(self) -> tuple[str, ...]:
+        """The convention of each lens."""
+        return tuple(one.convention for one in self.cameras.values())
 
     @property
     def shapes(self) -> list[LensShape]:
@@ -98,9 +98,8 @@ def system_of(
     blocks = _blocks(settings.rig, exposed, each, (seen, held))
     targets = sighted.targets
     free = np.broadcast_to(blocks[camera.TARGET].free, targets.points.shape)
-    group = Group(
-        IMAGES, camera.chain(settings.rig, each[0].convention, several=True), exposed.readings(sighted.observations)
-    )
+    chain = camera.chain(settings.rig, *(problem.convention for problem in each))
+    group = Group(IMAGES, chain, exposed.readings(sighted.observations))
     datum = target_datum(settings.rig, blocks[camera.TARGET], several=True) if free.any() else None
     places = {"image": Place(sighted.images, IMAGE), "target": Place(targets.names, camera.TARGET)}
     seen_in = np.bincount(sighted.target, minlength=len(targets.names))
