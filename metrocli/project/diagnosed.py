@@ -271,12 +271,19 @@ def _corrected(job: JobFile, diagnosis: Diagnosis) -> Sequence[tuple[Node, Node]
     wrong = _correction(diagnosis)
     if wrong is None:
         return job.root.entries
-    old = job.root.get(wrong.input)
-    kept = [] if old is None else [(key, value) for key, value in old.entries if key.text not in wrong.entries]
-    new = [(node_of(job.root, key), node_of(job.root, value)) for key, value in wrong.entries.items() if value]
-    section = replace(job.root, kind="mapping", text="", entries=(*kept, *new), items=())
-    others = [(key, value) for key, value in job.root.entries if key.text != wrong.input]
-    return [*others, (node_of(job.root, wrong.input), section)]
+    root = job.root
+    for path, value in wrong.entries.items():
+        root = _with_entry(root, (wrong.input, *path.split(".")), value)
+    return root.entries
+
+
+def _with_entry(node: Node, path: Sequence[str], value: str | Sequence[str]) -> Node:
+    """Return a mapping with a value at a path of keys; an empty value is left out."""
+    key, below = path[0], path[1:]
+    old = node.get(key) or replace(node, kind="mapping", text="", entries=(), items=())
+    new = _with_entry(old, below, value) if below else node_of(node, value)
+    others = [(name, held) for name, held in node.entries if name.text != key]
+    return replace(node, entries=(*others, *([(node_of(node, key), new)] if below or value else [])))
 
 
 def _longer(job: JobFile, key: str, more: Sequence[Node]) -> Node:

@@ -25,6 +25,7 @@ from metrocli.tasks.calibrate_camera.diagnosis import adjusted_job, all_covariat
 from metrocli.tasks.calibrate_camera.effects import EFFECTS, PLACES
 from metrocli.tasks.calibrate_camera.length_errors import must_not_be_used
 from metrocli.tasks.calibrate_camera.multi_camera import task as multi_camera
+from metrocli.tasks.calibrate_camera.multi_camera.alone import pinholes
 from metrocli.tasks.calibrate_camera.multi_camera.simulation import simulate as several_simulated
 from metrocli.tasks.calibrate_camera.other_lenses import fisheye_instead, other_models
 from metrocli.tasks.calibrate_camera.problem import CameraProblem
@@ -78,10 +79,15 @@ def diagnosed(job: Job[Settings, Files]) -> AdjustedJob:
 
 def other_settings(job: Job[Settings, Files], fits: bool) -> Iterator[tuple[Mistake, Job[Settings, Files]]]:
     """Yield the model fisheye where a pinhole is calibrated and the lens is one; nothing if a declared noise fits."""
-    settings, camera = job.settings, job.settings.camera
+    settings, each = job.settings, list((job.settings.cameras or {"": job.settings.camera}).values())
     known = fits and isinstance(settings.noise, float)
-    if not known and settings.cameras is None and camera.convention == "forward" and camera.model != SPLINE:
+    if known or not any(one.convention == "forward" and one.model != SPLINE for one in each):
+        return
+    if settings.cameras is None:
         yield from other_lenses.other_settings(job, prepared(job)[1])
+    else:
+        system = multi_camera.prepared(job, settings.cameras)
+        yield from other_lenses.other_settings_of_several(job, dict(pinholes(system)))
 
 
 def compare(job: Job[Settings, Files]) -> Table:

@@ -57,6 +57,13 @@ def fisheyes(system: CameraSystem, settings: Settings, solution: Solution) -> li
     return [f"{name}: {line}" for name, lines in each for line in lines]
 
 
+def pinholes(system: CameraSystem) -> Iterator[tuple[str, CameraProblem]]:
+    """Yield the calibration of each camera alone at its start, but of those whose lens has a shape of its own."""
+    for number, (name, own) in enumerate(system.cameras.items()):
+        if own.model != SPLINE:
+            yield name, build(system.rig, own, of_camera(system.sighted, system.exposed, number))
+
+
 def _problems(system: CameraSystem, settings: Settings) -> Iterator[tuple[str, CameraProblem]]:
     for number, (name, own) in enumerate(system.cameras.items()):
         problem = build(system.rig, own, of_camera(system.sighted, system.exposed, number))
