@@ -41,7 +41,7 @@ from metrocli.formats.csv_text import numeric
 from metrocli.formats.file_bytes import atomic_write
 from metrocli.formats.own_files import refuse_inputs
 from metrocli.frozen import dataclass
-from metrocli.nodes import Node, node_of, relocated
+from metrocli.nodes import Node, node_of, relocated, with_entry
 from metrocli.progress import SILENT, Named, Progress, counted
 from metrocli.project import yaml_text
 from metrocli.project.inputs import read_inputs
@@ -273,17 +273,8 @@ def _corrected(job: JobFile, diagnosis: Diagnosis) -> Sequence[tuple[Node, Node]
         return job.root.entries
     root = job.root
     for path, value in wrong.entries.items():
-        root = _with_entry(root, (wrong.input, *path.split(".")), value)
+        root = with_entry(root, (wrong.input, *path.split(".")), value)
     return root.entries
-
-
-def _with_entry(node: Node, path: Sequence[str], value: str | Sequence[str]) -> Node:
-    """Return a mapping with a value at a path of keys; an empty value is left out."""
-    key, below = path[0], path[1:]
-    old = node.get(key) or replace(node, kind="mapping", text="", entries=(), items=())
-    new = _with_entry(old, below, value) if below else node_of(node, value)
-    others = [(name, held) for name, held in node.entries if name.text != key]
-    return replace(node, entries=(*others, *([(node_of(node, key), new)] if below or value else [])))
 
 
 def _longer(job: JobFile, key: str, more: Sequence[Node]) -> Node:
