@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -51,8 +51,9 @@ def _fisheye(settings: C) -> C:
     """
     held = [name for name in ("cx", "cy") if name not in settings.estimate]
     usual = [name for name in CameraSettings(model="fisheye").estimate if name not in held]
-    without = {name: None for name in settings.given() if name not in held}
-    return replace(settings, model="fisheye", convention=None, base="opencv", estimate=tuple(usual), **without)
+    new: dict[str, Any] = {name: None for name in settings.given() if name not in held}
+    new |= {"model": "fisheye", "convention": None, "base": "opencv", "estimate": tuple(usual)}
+    return replace(settings, **new)
 
 
 def other_settings(job: Job[Settings, Files], problem: CameraProblem) -> Iterator[tuple[Mistake, Job[Settings, Files]]]:
@@ -113,7 +114,7 @@ def _is_fisheye(problem: CameraProblem, settings: CameraSettings, noise: float |
         best = _left(as_fisheye(problem, settings))
     except UndeterminedError:
         return False
-    return best <= min(_FITS * np.sqrt(2) * noise, left / _FITS)
+    return bool(best <= min(_FITS * np.sqrt(2) * noise, left / _FITS))
 
 
 def _may_be_fisheye(problem: CameraProblem) -> bool:

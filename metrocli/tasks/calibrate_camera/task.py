@@ -30,7 +30,7 @@ from metrocli.tasks.calibrate_camera.multi_camera.simulation import simulate as 
 from metrocli.tasks.calibrate_camera.other_lenses import fisheye_instead, other_models
 from metrocli.tasks.calibrate_camera.problem import CameraProblem
 from metrocli.tasks.calibrate_camera.report import report
-from metrocli.tasks.calibrate_camera.settings import FEWEST, Files, Settings
+from metrocli.tasks.calibrate_camera.settings import FEWEST, CameraSettings, Files, Settings
 from metrocli.tasks.calibrate_camera.shape.effect import beside_base
 from metrocli.tasks.calibrate_camera.shape.spline import with_shape
 from metrocli.tasks.calibrate_camera.simulation import conditions, simulated_targets, simulated_views, true_model
@@ -79,7 +79,8 @@ def diagnosed(job: Job[Settings, Files]) -> AdjustedJob:
 
 def other_settings(job: Job[Settings, Files], fits: bool) -> Iterator[tuple[Mistake, Job[Settings, Files]]]:
     """Yield the model fisheye where a pinhole is calibrated and the lens is one; nothing if a declared noise fits."""
-    settings, each = job.settings, list((job.settings.cameras or {"": job.settings.camera}).values())
+    settings = job.settings
+    each: list[CameraSettings] = [settings.camera] if settings.cameras is None else [*settings.cameras.values()]
     known = fits and isinstance(settings.noise, float)
     if known or not any(one.convention == "forward" and one.model != SPLINE for one in each):
         return
