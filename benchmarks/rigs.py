@@ -1,6 +1,7 @@
 """Several cameras calibrated together: are the uncertainties honest, and does OpenCV find the same on the same corners?
 
-`simulated`: z of all lenses and poses over rigs of two or three cameras, drawn by numpy alone; some images are missing.
+`simulated`: z of all lenses and poses over rigs of two or three cameras, drawn by numpy alone; some images are missing,
+and the last camera of every third rig is a fisheye.
 `opencv`: the pose of the right camera of OpenCV's stereo images by cv2.stereoCalibrate with the same lenses.
 `halves`: z between the halves of those images, with `noise: structured`, over random halvings.
 
@@ -92,8 +93,18 @@ def _image(points: Array, lens: Array) -> Array:
     return np.stack([f * u + cx, f * v + cy], axis=1)
 
 
-def _lens(rng: np.random.Generator) -> Array:
+def _fisheye_image(points: Array, lens: Array) -> Array:
+    f, cx, cy, *k = lens
+    across = np.hypot(points[:, 0], points[:, 1])
+    angle = np.arctan2(across, points[:, 2])
+    radius = angle * (1 + sum(each * angle ** (2 * n) for n, each in enumerate(k, 1)))
+    return np.asarray(f * (radius / across)[:, None] * points[:, :2] + [cx, cy])
+
+
+def _lens(rng: np.random.Generator, fisheye: bool) -> Array:
     centre = np.array(SIZE) / 2 - 0.5 + rng.normal(0, 10, 2)
+    if fisheye:
+        return np.array([rng.uniform(550, 750), *centre, *rng.normal(0, [0.02, 0.01, 0.003, 1e-3])])
     return np.array([rng.uniform(900, 1300), *centre, rng.uniform(-0.25, 0), 0.05, *rng.normal(0, 5e-4, 2)])
 
 
@@ -102,7 +113,8 @@ def z_of_rig(number: int, network: bool = False) -> Array:
     rng = np.random.default_rng([71, number])
     count = 2 + number % 2
     names = ["left", "right", "top"][:count]
-    lenses = [_lens(rng) for _ in names]
+    fisheye = [not network and number % 3 == 2 and name == names[-1] for name in names]
+    lenses = [_lens(rng, other) for other in fisheye]
     turns = [np.eye(3), *(Rotation.from_rotvec(rng.normal(0, 0.15, 3)).as_matrix() for _ in names[1:])]
     shifts = [np.zeros(3), *(np.array([90.0 * i, 0, 0]) + rng.normal(0, 15, 3) for i in range(1, count))]
     points = rng.uniform([-100, -100, -40], [100, 100, 40], (40, 3)) if network else BOARD
@@ -110,19 +122,22 @@ def z_of_rig(number: int, network: bool = False) -> Array:
     for exposure in range(16):
         turn = Rotation.from_euler("zxy", [rng.uniform(-3, 3), *rng.uniform(-0.6, 0.6, 2)]).as_matrix()
         in_first = points @ turn.T + [*rng.uniform(-60, 100, 2), rng.uniform(350, 650)]
-        for name, lens, own, shift in zip(names, lenses, turns, shifts, strict=True):
-            uv = _image((in_first - shift) @ own, lens) + rng.normal(0, NOISE, (len(points), 2))
+        for name, lens, own, shift, other in zip(names, lenses, turns, shifts, fisheye, strict=True):
+            project = _fisheye_image if other else _image
+            uv = project((in_first - shift) @ own, lens) + rng.normal(0, NOISE, (len(points), 2))
             inside = ((uv > 0) & (uv < np.array(SIZE) - 1)).all(axis=1)
             if inside.sum() >= 12 and rng.random() > 0.15:
                 seen += [(f"{name}{exposure:02d}.png", int(i), uv[i]) for i in np.flatnonzero(inside)]
     size = f"image_size: [{SIZE[0]}, {SIZE[1]}]"
-    cameras = {name: f'{{images: "{name}*.png", {size}}}' for name in names}
+    models = [", model: fisheye" if other else "" for other in fisheye]
+    cameras = {name: f'{{images: "{name}*.png", {size}{own}}}' for name, own in zip(names, models, strict=True)}
     bars = [(a, a + 1, float(np.linalg.norm(points[a] - points[a + 1])) + rng.normal(0, BAR)) for a in (0, 2, 4)]
     rough = points + rng.normal(0, ROUGH, points.shape) if network else points
     result = solved(seen, rough, cameras, f"{NOISE} px", bars if network else ())
     truth = {}
-    for name, lens in zip(names, lenses, strict=True):
-        truth |= {f"{name}.{key}": value for key, value in zip(LENS, lens, strict=True)}
+    for name, lens, other in zip(names, lenses, fisheye, strict=True):
+        keys = (*LENS[:5], "k3", "k4") if other else LENS
+        truth |= {f"{name}.{key}": value for key, value in zip(keys, lens, strict=True)}
     for name, turn, shift in zip(names[1:], turns[1:], shifts[1:], strict=True):
         truth |= {f"{name}.{key}": value for key, value in zip(POSE, [*shift, *_euler(turn)], strict=True)}
     return np.array([(one.value - truth[one.name]) / one.std for one in result.estimates])

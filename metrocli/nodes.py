@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
@@ -95,6 +95,15 @@ def node_of(like: Node, value: Any) -> Node:
     if isinstance(value, list):
         return replace(like, kind="list", text="", entries=(), items=tuple(node_of(like, item) for item in value))
     return replace(like, kind="scalar", text=value, entries=(), items=())
+
+
+def with_entry(node: Node, path: Sequence[str], value: str | Sequence[str]) -> Node:
+    """Return a mapping with a value at a path of keys; an empty value is left out."""
+    key, below = path[0], path[1:]
+    old = node.get(key) or replace(node, kind="mapping", text="", entries=(), items=())
+    new = with_entry(old, below, value) if below else node_of(node, value)
+    others = [(name, held) for name, held in node.entries if name.text != key]
+    return replace(node, entries=(*others, *([(node_of(node, key), new)] if below or value else [])))
 
 
 def relocated(node: Node, old: Path, new: Path) -> Node:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import field
 
 from metrocli.arrays import Picture
@@ -28,5 +28,5 @@ class Simulation:
     """By file name relative to the folder that is written, such as `observations.csv`."""
     truth: Mapping[str, float] = field(default_factory=dict)
     """True values by the name of the estimate, in its internal unit."""
-    pictures: Iterable[tuple[str, Callable[[], Picture]]] = ()
+    pictures: Sequence[tuple[str, Callable[[], Picture]]] = ()
     """Path relative to the folder, and a function that renders the picture when it is written."""

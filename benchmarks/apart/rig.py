@@ -61,10 +61,15 @@ def _bump(uv: Array) -> Array:
     return hill
 
 
-def _rows(image: str, points: Array, lens: Sequence[float], rng: np.random.Generator | None) -> list[str]:
+def _rows(
+    image: str, points: Array, lens: Sequence[float], rng: np.random.Generator | None, fisheye: bool = False
+) -> list[str]:
     """Return what an image shows of points (n, 3) in its camera."""
     f, cx, cy, k1 = lens
     x, y = points[:, 0] / points[:, 2], points[:, 1] / points[:, 2]
+    if fisheye:
+        tangent = np.hypot(x, y)
+        x, y = x * np.arctan(tangent) / tangent, y * np.arctan(tangent) / tangent
     radial = 1 + k1 * (x * x + y * y)
     uv = np.stack([f * x * radial + cx, f * y * radial + cy], axis=1)
     uv += _bump(uv) if image.startswith("wide") else 0
@@ -83,17 +88,20 @@ def _listed(points: Array) -> list[str]:
     return [f"T{i},{x},{y},{z}" for i, (x, y, z) in enumerate(points.tolist())]
 
 
-def write_jobs(folder: Path, rng: np.random.Generator | None, names: Sequence[str] = ("left", "right")) -> None:
+def write_jobs(
+    folder: Path, rng: np.random.Generator | None, names: Sequence[str] = ("left", "right"), fisheye: str = ""
+) -> None:
     """Write the jobs cam.yaml and job.yaml with their files; without a generator there is no noise.
 
-    `names` are the cameras that see the part: left, right or both, which are calibrated together, or wide.
+    `names` are the cameras that see the part: left, right or both, which are calibrated together, or wide. One of left
+    and right may be a `fisheye`.
     """
     wide = "wide" in names
     field = np.random.default_rng(7).uniform([-200, -160, -50], [200, 160, 200], (900 if wide else 70, 3))
     calibrated, seen = list[str](), list[str]()
     for name in names if wide else ("left", "right"):
         turn, place = HELD[name]
-        calibrated += _rows(f"{name}1", turn.inv().apply(field - place), LENSES[name], rng)
+        calibrated += _rows(f"{name}1", turn.inv().apply(field - place), LENSES[name], rng, name == fisheye)
     c, s = np.cos(CLAMPED), np.sin(CLAMPED)
     clamped = Rotation.from_matrix([[c, s, 0], [-s, c, 0], [0, 0, 1]])
     points = PART.apply(TARGETS) + SHIFT
@@ -104,12 +112,13 @@ def write_jobs(folder: Path, rng: np.random.Generator | None, names: Sequence[st
             if (exposure, name) != ("3", "left"):
                 centre = (spindle * clamped).apply(place) + at
                 in_camera = (spindle * clamped * turn).inv().apply(points - centre)
-                seen += _rows(f"{name}{exposure}", in_camera, LENSES[name], rng)
+                seen += _rows(f"{name}{exposure}", in_camera, LENSES[name], rng, name == fisheye)
     write(folder / "cal.csv", "seen", calibrated)
     write(folder / "field.csv", "targets", _listed(field))
     write(folder / "obs.csv", "seen", seen)
     write(folder / "targets.csv", "targets", _listed(TARGETS))
     named = {f"wide{i}.png" if wide else i: pose for i, pose in SPINDLE.items()}
     write(folder / "poses.csv", "poses", [",".join(map(str, (i, *at, *angles))) for i, (at, angles) in named.items()])
-    (folder / "cam.yaml").write_text(CALIBRATION % (WIDE if wide else CAMERAS))
+    cameras = CAMERAS.replace(f'"{fisheye}*.png",', f'"{fisheye}*.png", model: fisheye,') if fisheye else CAMERAS
+    (folder / "cam.yaml").write_text(CALIBRATION % (WIDE if wide else cameras))
     (folder / "job.yaml").write_text(JOB)

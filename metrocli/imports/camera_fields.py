@@ -1,12 +1,13 @@
-"""What the readers of cameras share: a camera as its file has it, and the search for fields in a text."""
+"""What the readers of cameras share: a camera as its file has it, and the fields of its text, each of them once."""
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping, Sequence
 from xml.etree import ElementTree
 
-from metrocli.errors import InputError
+from metrocli.errors import Fault, InputError
 from metrocli.frozen import dataclass
 from metrocli.imports.lines import TextLines, is_number
 from metrocli.instruments.lenses.forms import PROGRAMS, LensForm
@@ -45,16 +46,35 @@ def coefficients(form: LensForm) -> tuple[str, ...]:
 def camera_of(
     lines: TextLines, program: str, form: LensForm, size: Sequence[str], values: Mapping[str, str]
 ) -> ReadCamera:
-    """Return what was read; raises InputError for values that are no numbers."""
-    wrong = [f"{name} = '{value}'" for name, value in values.items() if not is_number(value)]
+    """Return what was read; raises InputError for values that are no numbers, and sizes that are no whole ones."""
+    must_be_numbers(lines, values)
+    wrong = [
+        _at(lines, f"image {side} = '{text}'", text, "expected a whole number of pixels")
+        for side, text in zip(("width", "height"), size, strict=True)
+        if not (is_number(text) and float(text).is_integer() and float(text) > 0)
+    ]
     if wrong:
-        raise InputError([lines.fault(f"not a number: {', '.join(wrong)}")])
+        raise InputError(wrong)
     pixel = PROGRAMS[program].pixel
     centre = {name: repr(float(values[name]) - pixel) for name in ("cx", "cy")} if pixel else {}
-    return ReadCamera(form, (int(size[0]), int(size[1])), {**values, **centre})
+    return ReadCamera(form, (int(float(size[0])), int(float(size[1]))), {**values, **centre})
+
+
+def must_be_numbers(lines: TextLines, values: Mapping[str, str]) -> None:
+    """Raise InputError with each value that is no finite number."""
+    wrong = [(name, text) for name, text in values.items() if not is_number(text)]
+    if wrong:
+        raise InputError([_at(lines, f"not a number: {name} = '{text}'", text) for name, text in wrong])
+
+
+def _at(lines: TextLines, message: str, text: str, hint: str | None = None) -> Fault:
+    """Return a fault at the line that has a text, if there is one such line."""
+    there = [number for number, line in enumerate(lines.lines, 1) if text and text in line]
+    return lines.fault(message, there[0] if len(there) == 1 else None, hint)
 
 
 def must_have(lines: TextLines, what: str, fields: Mapping[str, object]) -> None:
+    """Raise InputError that names the fields without a value."""
     lacking = [name for name, value in fields.items() if not value]
     if lacking:
         raise InputError([lines.fault(f"the file lacks {', '.join(lacking)}", None, f"expected a camera of {what}")])
@@ -65,26 +85,114 @@ def parsed_xml(lines: TextLines, text: str) -> ElementTree.Element:
     try:
         return ElementTree.fromstring(text)
     except ElementTree.ParseError as error:
-        raise InputError([lines.fault(f"this is not XML: {error}", error.position[0])]) from error
+        line = min(error.position[0], len(lines.lines))
+        raise InputError([lines.fault(f"this is not XML: {error}", line)]) from error
+
+
+def children(lines: TextLines, element: ElementTree.Element) -> dict[str, ElementTree.Element]:
+    """Return the elements in an element by their tags; raises InputError if one stands twice."""
+    found = dict[str, ElementTree.Element]()
+    for each in element:
+        if each.tag in found:
+            raise InputError([lines.fault(f"{each.tag} stands twice")])
+        found[each.tag] = each
+    return found
 
 
 def by_name(form: LensForm, numbers: Sequence[str]) -> dict[str, str]:
     return dict(zip(coefficients(form), numbers, strict=True))
 
 
-def text_after(pattern: str, text: str, flags: int = 0) -> str | None:
-    match = re.search(pattern, text, flags)
-    return match[1] if match else None
+def text_after(lines: TextLines, pattern: str, text: str) -> str | None:
+    """Return the first group of a pattern, without quotes around it; None if the pattern is not in the text.
+
+    Raises InputError if it is there twice, since it is not known which is right.
+    """
+    found = list(re.finditer(pattern, text, re.MULTILINE))
+    if len(found) > 1:
+        raise InputError([lines.fault(f"{re.split('[:=]', found[1][0].strip())[0].strip()} stands twice")])
+    return found[0][1].strip().strip("'\"").strip() if found else None
 
 
-LIST = r"(?:\[([^\]]*)\]|((?:\s*\n\s*-\s+[-+.0-9eE]+)+))"
-"""A list of YAML, in brackets or with an entry a line"""
+def listed(text: str) -> list[str]:
+    """Return the entries of a list as written, and an empty text where commas have nothing between them."""
+    parts = text.split() if not re.search("[,;]", text) else re.split("[,;]", re.sub(r"[,;]\s*$", "", text))
+    return [re.sub(r"(?<=[0-9])\.$", "", part.strip()) for part in parts]
 
 
-def numbers_after(pattern: str, text: str) -> list[str]:
-    """Return the numbers of a list as written; an empty list if one is no number."""
-    match = re.search(pattern, text, re.DOTALL | re.MULTILINE)
-    held = next((one for one in match.groups() if one), "") if match else ""
-    parts = re.split(r"[\s,]+", re.sub(r"^\s*-\s+", "", held, flags=re.MULTILINE).strip().strip(","))
-    parts = [part.rstrip(".") for part in parts]
-    return parts if all(map(is_number, parts)) else []
+_KEY = re.compile(r"([ \t]*)(?:'|\")?([\w.]+)(?:'|\")?[ \t]*:(?![^ \t])(.*)")
+_ENTRY = re.compile(r"^[ \t]*-(?:[ \t]+(.*))?$", re.MULTILINE)
+
+
+class Keys:
+    """The keys of a text in the YAML that cameras are written in, of whatever version."""
+
+    def __init__(self, lines: TextLines, text: str) -> None:
+        """Take the text; comments are left out, and so are the types of FileStorage."""
+        self._file = lines
+        self._rows = [re.sub(r"(^|\s)#.*|!!opencv-matrix", "", row).rstrip() for row in text.splitlines()]
+        self._found = [(n, match) for n, row in enumerate(self._rows) if (match := _KEY.fullmatch(row))]
+
+    def has(self, key: str) -> bool:
+        """Return whether a key is there, a pattern that is matched in any case."""
+        return any(re.fullmatch(key, match[2], re.IGNORECASE) for _, match in self._found)
+
+    def text(self, key: str, nested: bool = True) -> str | None:
+        """Return what stands behind a key; None if it is not there.
+
+        Raises InputError if it is there twice, since it is not known which is right.
+        """
+        place = self._place(key, nested)
+        return None if place is None else place[1][3].strip().strip("'\"").strip()
+
+    def entries(self, key: str, nested: bool = True) -> list[str]:
+        """Return the list of a key as written: in brackets, with an entry a line, or as `data` beside rows and cols.
+
+        Empty if it is not there or not closed. Raises InputError as `text`, and where rows and cols state others.
+        """
+        place = self._place(key, nested)
+        if place is None:
+            return []
+        body = "\n".join([place[1][3], *self._below(*place)])
+        if mapping := re.fullmatch(r"\s*\{(.*)\}\s*", body, re.DOTALL):
+            body = re.sub(r",\s*(?=\w+\s*:)", "\n", mapping[1].strip())
+        inner = Keys(self._file, body)
+        if inner._place("data") is None:
+            return _entries(body)
+        found = inner.entries("data")
+        sides = {side: text for side in ("rows", "cols") if is_number(text := inner.text(side) or "")}
+        whole = math.prod(map(float, sides.values()))
+        # a file that ends too early may have one of them
+        if found and (not whole or len(found) % whole or (len(sides) == 2 and len(found) != whole)):
+            stated = " and ".join(f"{side} {text}" for side, text in sides.items())
+            raise InputError([self._file.fault(f"{place[1][2]} has {len(found)} numbers", None, f"it states {stated}")])
+        return found
+
+    def _place(self, key: str, nested: bool = True) -> tuple[int, re.Match[str]] | None:
+        found = [
+            (n, match)
+            for n, match in self._found
+            if re.fullmatch(key, match[2], re.IGNORECASE) and (nested or not match[1])
+        ]
+        if len(found) > 1:
+            raise InputError([self._file.fault(f"{found[1][1][2]} stands twice")])
+        return found[0] if found else None
+
+    def _below(self, row: int, match: re.Match[str]) -> list[str]:
+        """Return the lines that belong to a key: indented farther, entries of a list, or within its brackets."""
+        here, body = len(match[1]), list[str]()
+        for line in self._rows[row + 1 :]:
+            own = len(line) - len(line.lstrip())
+            inside = own > here or (own == here and re.match(r"\s*-(\s|$)", line)) or ":" not in line
+            if not inside or line.startswith(("---", "...")):
+                break
+            body.append(line)
+        return body
+
+
+def _entries(body: str) -> list[str]:
+    opened = body.lstrip().startswith("[")
+    brackets = re.match(r"\s*\[([^\]]*)\]\s*$", body) if opened else None
+    if opened:
+        return listed(brackets[1]) if brackets else []
+    return [part for entry in _ENTRY.findall(body) for part in listed(entry) or [""]]

@@ -17,6 +17,8 @@ _FIELD_OF_VIEW = 0.05
 """Focal lengths below this share of the longer side of the image are in mm, or in units of the image"""
 _DECENTRED = 0.2
 """Beyond this p1 and p2 shift a point at 0.2 focal lengths from the centre by more than a tenth of that distance"""
+_SHIFT = "(?:D|distCoeffs)"
+"""Begins the key of the coefficients of one of a pair of cameras, which a number ends"""
 _CENTRE = (0.02, 0.98)
 """Principal points beyond these shares of the image are not plausible, or in other units"""
 
@@ -70,15 +72,20 @@ def _parts(lines: TextLines, program: str, text: str) -> dict[str, str]:
     Raises InputError if a camera stands twice, and for text that is not the XML of its program.
     """
     if program == "kalibr":
-        found = re.split(r"^(cam[0-9]+)\s*:", text, flags=re.MULTILINE)
-        return dict(zip(found[1::2], found[2::2], strict=True)) or {"": text}
+        before, *found = re.split(r"^(cam[0-9]+)\s*:", text, flags=re.MULTILINE)
+        names = found[::2]
+        if names and ("intrinsics" in before or len(set(names)) < len(names)):
+            message = "a camera without its name, or with that of another"
+            raise InputError([lines.fault(message, None, "expected cam0, cam1, ...")])
+        return dict(zip(names, found[1::2], strict=True)) or {"": text}
     if program == "colmap":
         return _rows(lines)
     if program == "metashape":
         return _sensors(lines, text)
-    if stereo := re.findall(rf"^{MATRIX}([0-9])\s*:", text, re.MULTILINE):
+    if re.search(rf"^{MATRIX}[0-9]\s*:", text, re.MULTILINE):
+        stereo = dict.fromkeys(re.findall(rf"^(?:{MATRIX}|{_SHIFT})([0-9])\s*:", text, re.MULTILINE))
         return {f"camera-{number}": _of_pair(number, text) for number in stereo}
-    several = sorted(set(re.findall(r"^(Camera[0-9])\.fx\s*:", text, re.MULTILINE)))
+    several = sorted(set(re.findall(r"^(Camera[0-9])\.\w+\s*:", text, re.MULTILINE)))
     return {
         name: re.sub(rf"^(?!{name}\.)Camera[0-9]\..*", "", text, flags=re.MULTILINE).replace(f"{name}.", "Camera1.")
         for name in several
@@ -88,7 +95,7 @@ def _parts(lines: TextLines, program: str, text: str) -> dict[str, str]:
 def _of_pair(number: str, text: str) -> str:
     """Return the text of a pair of cameras (OpenCV's stereo_calib: M1, D1, M2, D2) with the keys of one camera."""
     matrix = re.sub(rf"^{MATRIX}{number}\s*:", "camera_matrix:", text, flags=re.MULTILINE)
-    return re.sub(rf"^(?:D|distCoeffs){number}\s*:", "distortion_coefficients:", matrix, flags=re.MULTILINE)
+    return re.sub(rf"^{_SHIFT}{number}\s*:", "distortion_coefficients:", matrix, flags=re.MULTILINE)
 
 
 def _rows(lines: TextLines) -> dict[str, str]:

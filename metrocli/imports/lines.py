@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import math
 import re
 from collections.abc import Iterable, Iterator, Sequence
 
@@ -37,7 +38,7 @@ class TextLines:
 
 def is_number(text: str) -> bool:
     """Return whether text is a plain finite number with a decimal point."""
-    return _NUMBER.fullmatch(text) is not None
+    return _NUMBER.fullmatch(text) is not None and math.isfinite(float(text))
 
 
 def with_sign(number: str, sign: int) -> str:

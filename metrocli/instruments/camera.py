@@ -16,6 +16,7 @@ from metrocli.arrays import Array
 from metrocli.geometry import poses
 from metrocli.instruments.frames import Into, OutOf, PointOf
 from metrocli.instruments.lenses.lens import UNITS, Lens, LensBackward
+from metrocli.instruments.lenses.lens_of_each import LensOfEach
 
 LENS, VIEW, TARGET, TAPER, MOUNT = "lens", "view", "target", "camera", "mount"
 """Blocks: lens parameters, a pose for each image, target coordinates, pose of the camera in the reference frame, and
@@ -68,9 +69,10 @@ def mount_block(values: Array, cameras: Sequence[str], distance: float) -> Block
     return Block(MOUNT, values, poses.COLUMNS, tuple(cameras), free, reach, Space.POSE, noun="camera")
 
 
-def lens_link(convention: str) -> Link:
-    """Return the lens link of a convention, 'forward', 'backward' or 'fisheye'."""
-    return LensBackward(LENS) if convention == "backward" else Lens(LENS, convention == "fisheye")
+def lens_link(*conventions: str) -> Link:
+    """Return the lens link of the convention of each camera, 'forward', 'backward' or 'fisheye'."""
+    links = [LensBackward(LENS) if one == "backward" else Lens(LENS, one == "fisheye") for one in conventions]
+    return links[0] if len(set(conventions)) == 1 else LensOfEach(LENS, tuple(links), MOUNT)
 
 
 def to_camera(rig: str, several: bool = False) -> tuple[Link, ...]:
@@ -96,9 +98,9 @@ def of_first(link: Into | OutOf, several: bool) -> tuple[Link, ...]:
     return (replace(link, gives=rig), Into(MOUNT, rig, Quantity.POINT_IN_CAMERA))
 
 
-def chain(rig: str, convention: str, several: bool = False) -> Chain:
-    """Return the forward model of an image point, of one camera or of several that are fixed to each other."""
-    return Chain((*to_camera(rig, several), lens_link(convention)))
+def chain(rig: str, *conventions: str) -> Chain:
+    """Return the forward model of an image point, of one camera or of several, each with the convention of its lens."""
+    return Chain((*to_camera(rig, len(conventions) > 1), lens_link(*conventions)))
 
 
 def view_name(rig: str) -> str:

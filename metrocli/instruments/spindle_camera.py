@@ -79,9 +79,10 @@ class UncertainPoses:
         return Step(moved, np.eye(3)[:, :, None] - turned, {SPINDLE: by_pose, self.block: by_unknown})
 
 
-def chain(convention: str, several: bool = False, spread: Array | None = None) -> Chain:
+def chain(*conventions: str, spread: Array | None = None) -> Chain:
     """Return the forward model of an image point; `spread` (exposures, 6, k) is that of the poses of the spindle.
 
+    `conventions` has that of the lens of each camera.
     Where several cameras are fixed to each other, the pose in the taper is that of the first, and one more link leads
     to the camera.
     """
@@ -92,8 +93,8 @@ def chain(convention: str, several: bool = False, spread: Array | None = None) -
             *([] if spread is None or not spread.shape[2] else [UncertainPoses(spread)]),
             Into(SPINDLE, Quantity.POINT_IN_MACHINE, Quantity.POINT_IN_SPINDLE),
             Coupling(COUPLING),
-            *of_first(Into(TAPER, Quantity.POINT_IN_TAPER, Quantity.POINT_IN_CAMERA), several),
-            lens_link(convention),
+            *of_first(Into(TAPER, Quantity.POINT_IN_TAPER, Quantity.POINT_IN_CAMERA), len(conventions) > 1),
+            lens_link(*conventions),
         )
     )
 

@@ -41,7 +41,7 @@ from metrocli.formats.csv_text import numeric
 from metrocli.formats.file_bytes import atomic_write
 from metrocli.formats.own_files import refuse_inputs
 from metrocli.frozen import dataclass
-from metrocli.nodes import Node, node_of, relocated
+from metrocli.nodes import Node, node_of, relocated, with_entry
 from metrocli.progress import SILENT, Named, Progress, counted
 from metrocli.project import yaml_text
 from metrocli.project.inputs import read_inputs
@@ -271,12 +271,10 @@ def _corrected(job: JobFile, diagnosis: Diagnosis) -> Sequence[tuple[Node, Node]
     wrong = _correction(diagnosis)
     if wrong is None:
         return job.root.entries
-    old = job.root.get(wrong.input)
-    kept = [] if old is None else [(key, value) for key, value in old.entries if key.text not in wrong.entries]
-    new = [(node_of(job.root, key), node_of(job.root, value)) for key, value in wrong.entries.items() if value]
-    section = replace(job.root, kind="mapping", text="", entries=(*kept, *new), items=())
-    others = [(key, value) for key, value in job.root.entries if key.text != wrong.input]
-    return [*others, (node_of(job.root, wrong.input), section)]
+    root = job.root
+    for path, value in wrong.entries.items():
+        root = with_entry(root, (wrong.input, *path.split(".")), value)
+    return root.entries
 
 
 def _longer(job: JobFile, key: str, more: Sequence[Node]) -> Node:

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from metrocli.arrays import Array, Index, Picture
+from metrocli.errors import Fault, InputError
 from metrocli.targets.blobs import eight_bit
 from metrocli.targets.find import FoundTargets, nothing, points
 from metrocli.targets.lattice import determines_homography, homography, order_fault, projected
@@ -116,13 +117,14 @@ def _sizes(pattern: Pattern) -> tuple[float, float]:
 def artwork(pattern: Pattern) -> tuple[Array, float]:
     """Return the grid with the squares around it as cells, 1 where ink is, and the side of a cell [mm].
 
-    Raises ValueError if the squares between the tags are not a whole number of the tags' cells.
+    Raises InputError if the squares between the tags are not a whole number of the tags' cells.
     """
     pitch, tag = _sizes(pattern)
     rows, columns = (count // 2 for count in pattern.shape)
     gap = round((pitch - tag) / tag * _CELLS)
     if gap < 1 or abs(gap * tag / _CELLS - (pitch - tag)) > 1e-6 * tag:
-        raise ValueError("the squares between the tags are not whole cells of a tag: this grid cannot be drawn")
+        message = "the squares between the tags are not whole cells of a tag, so the grid is not drawn"
+        raise InputError([Fault(message, hint=f"expected gaps of {tag / _CELLS:.6g} mm, or twice or thrice that")])
     step = _CELLS + gap
     cells = np.zeros((rows * step + gap, columns * step + gap))
     for row in range(rows + 1):

@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 
 from metrocli.arrays import Array, Picture
+from metrocli.errors import Fault, InputError
 from metrocli.targets.blobs import eight_bit
 from metrocli.targets.find import FoundTargets, nothing, points
 from metrocli.targets.lattice import homography, order_fault, projected
@@ -90,14 +91,17 @@ def _layouts(pattern: Pattern) -> Iterator[tuple[Pattern, str]]:
 def artwork(pattern: Pattern) -> tuple[Array, int]:
     """Return the board as cells (rows, columns), 1 where ink is, and the number of cells along a square.
 
-    Raises ValueError if a square is not a whole number of the marker's cells.
+    Raises InputError if a square is not a whole number of the marker's cells, as many on both sides of it.
     """
     rows, columns = pattern.shape
     marker = _dictionary(pattern.dictionary).markerSize + 2
-    _, length = _sizes(pattern)
+    square, length = _sizes(pattern)
     count = round(marker / length)
     if abs(count * length - marker) > 1e-6 * marker or (count - marker) % 2:
-        raise ValueError("the marker's cells do not fill a square evenly: this board cannot be drawn")
+        near = marker + 2 * max(round((marker * square / length - marker) / 2), 1)
+        message = "the marker's cells do not fill a square evenly, so the board is not drawn"
+        expected = f"drawn is e.g. a marker_size: {float(pattern.pitch or 0.0) * marker / near:.6g} mm"
+        raise InputError([Fault(message, hint=expected)])
     image = _board(pattern).generateImage(((columns + 1) * count, (rows + 1) * count), marginSize=0)
     return (np.asarray(image) < 128).astype(float), count
 

@@ -5,6 +5,8 @@ Method: docs/algorithms/target-detection.md.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from metrocli.arrays import Picture
@@ -12,7 +14,7 @@ from metrocli.targets import blobs, ellipses
 from metrocli.targets.ellipse import Ellipse
 from metrocli.targets.ellipses import of_ellipses
 from metrocli.targets.find import FoundTargets, nothing
-from metrocli.targets.lattice import ordered
+from metrocli.targets.lattice import FEWEST, largest, ordered
 from metrocli.targets.pattern import Pattern, lattice, names
 
 
@@ -23,6 +25,27 @@ def find(pattern: Pattern, picture: Picture) -> FoundTargets:
     """
     tried = [_of_polarity(pattern, picture, sign) for sign in _polarities(pattern)]
     return max(tried, key=len)
+
+
+def shown_grids(picture: Picture) -> Iterator[Pattern]:
+    """Yield the grids of circles that an image may show, by the lattice on which most of its circles lie."""
+    for polarity in ("dark", "bright"):
+        starts = blobs.ellipses(picture, polarity)
+        if len(starts) < _FEWEST:
+            continue
+        steps = largest(np.array([(start.u, start.v) for start in starts]), len(starts))[1]
+        # in every second place of a lattice turned by 45 degrees are the circles of shifted rows
+        turned = np.stack([steps[:, 0] - steps[:, 1], steps.sum(axis=1)], axis=1)
+        for kind, places, share in (("circles", steps, 1), ("asymmetric-circles", turned, 2)):
+            across, down = (np.ptp(places, axis=0) + 1).tolist() if len(places) else (0, 0)
+            for width, rows in ((across, down), (down, across)):
+                columns = (width + share - 1) // share
+                if min(columns, rows) > 1 and FEWEST * columns * rows <= len(steps):
+                    yield Pattern(kind, columns, rows, 1.0, polarity=polarity)
+
+
+_FEWEST = 12
+"""Fewest circles of a grid that nothing states"""
 
 
 def _polarities(pattern: Pattern) -> tuple[str, ...]:

@@ -90,14 +90,7 @@ def ordered(expected: Whole, uv: Array) -> tuple[Whole, str]:
     Returns the row in `uv` for each place (n,), -1 if the place is empty, and the reason if no order is found. If
     several orders fit (a symmetric board), the most upright one in the image is taken.
     """
-    best = np.empty(0, np.int64), np.empty((0, 2), np.int64)
-    for seed in np.asarray(np.argsort(np.linalg.norm(uv - np.median(uv, axis=0), axis=1))[:8]):
-        grown = _grown(uv, seed)
-        if len(grown[0]) > len(best[0]):
-            best = grown
-        if len(best[0]) >= len(expected):
-            break
-    members, steps = best
+    members, steps = largest(uv, len(expected))
     if len(members) < max(4, FEWEST * len(expected)):
         return np.full(len(expected), -1), f"{len(members)} points lie on a lattice, {len(expected)} are expected"
     fits = _alignments(expected, members, steps)
@@ -108,6 +101,21 @@ def ordered(expected: Whole, uv: Array) -> tuple[Whole, str]:
     if fit is None:
         return np.full(len(expected), -1), "the points found do not have the outline of the pattern"
     return fit, ""
+
+
+def largest(uv: Array, enough: int) -> tuple[Whole, Whole]:
+    """Return the rows of the points (m, 2) that lie on the largest lattice, and their places in whole steps.
+
+    Seeds near the middle are tried until a lattice has `enough` points.
+    """
+    best = np.empty(0, np.int64), np.empty((0, 2), np.int64)
+    for seed in np.asarray(np.argsort(np.linalg.norm(uv - np.median(uv, axis=0), axis=1))[:8]):
+        grown = _grown(uv, seed)
+        if len(grown[0]) > len(best[0]):
+            best = grown
+        if len(best[0]) >= enough:
+            break
+    return best
 
 
 def upright(shape: tuple[int, int], uv: Array) -> Whole | None:

@@ -14,6 +14,7 @@ from metrocli.targets import blobs
 from metrocli.targets.aprilgrid import tags_in
 from metrocli.targets.charuco import FEWEST, count_markers, markers_in, other_layout
 from metrocli.targets.chessboard import shown_size
+from metrocli.targets.circles import shown_grids
 from metrocli.targets.find import find
 from metrocli.targets.pattern import Pattern
 
@@ -42,6 +43,8 @@ def likely_board(pattern: Pattern, pictures: Iterable[Picture]) -> str:
             return marked
         if place == 0 and (chess := _chessboard(pattern, reduced)):
             return chess
+    if grid := _other_circles(pattern, reduced):
+        return grid
     if circles and (count := _shown_circles(pattern, reduced)):
         return f"{count} circles, and the pattern of the job has {pattern.shape[0] * pattern.shape[1]}"
     return ""
@@ -93,6 +96,17 @@ def _likely_circles(pattern: Pattern, pictures: Sequence[Picture]) -> tuple[int,
             break
     best = max(counts, key=lambda size: (counts[size], size[0] * size[1]))
     return best if pictures and counts[best] > _SHARE * len(pictures) else None
+
+
+def _other_circles(pattern: Pattern, pictures: Sequence[Picture]) -> str:
+    """Return the grid of circles, of whatever kind and size, that most pictures show; empty if none is found there."""
+    own = (pattern.type, *pattern.shape)
+    for first in pictures[:1]:
+        grids = [grid for grid in shown_grids(first) if (grid.type, *grid.shape) != own]
+        for grid in sorted(grids, key=lambda grid: -grid.shape[0] * grid.shape[1]):
+            if sum(len(find(grid, picture)) > 0 for picture in pictures) > _SHARE * len(pictures):
+                return _in_words((grid.shape[1], grid.shape[0]), f"type: {grid.type}, ")
+    return ""
 
 
 def _shown_circles(pattern: Pattern, pictures: Sequence[Picture]) -> int:

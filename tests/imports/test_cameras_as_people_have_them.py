@@ -8,115 +8,24 @@ from typing import Any
 
 import pytest
 import yaml
+from imports.camera_texts import (
+    CAMODOCAL,
+    CHAIN,
+    COLMAP,
+    DOCUMENT,
+    FILESTORAGE,
+    KANNALA,
+    MESSAGE,
+    ONE_A_LINE,
+    ORB,
+    OST,
+    SENSOR,
+    STORAGE,
+    TOOLBOX,
+    TWO_EYES,
+)
 
 Metrocli = Callable[..., Any]
-MESSAGE = """height: 480
-width: 640
-distortion_model: plumb_bob
-D: [-0.1, 0.02, 1.0e-3, -2.0e-3, 0.0]
-K: [500.0, 0.0, 321.0, 0.0, 501.0, 242.0, 0.0, 0.0, 1.0]
-roi:
-  height: 0
-  width: 0
-"""
-ONE_A_LINE = """image_width: 640
-image_height: 480
-camera_matrix:
-  cols: 3
-  data:
-  - 500.0
-  - 0.0
-  - 321.0
-  - 0.0
-  - 501.0
-  - 242.0
-  - 0.0
-  - 0.0
-  - 1.0
-  rows: 3
-distortion_model: plumb_bob
-distortion_coefficients:
-  cols: 5
-  data:
-  - -0.1
-  - 0.02
-  - 0.001
-  - -0.002
-  - 0.0
-  rows: 1
-"""
-CHAIN = """%YAML:1.0
-cam0:
-  camera_model: pinhole
-  distortion_coeffs: [-0.1, 0.02, 0.001, -0.002]
-  distortion_model: radtan
-  intrinsics: [500.0, 501.0, 321.0, 242.0]
-  resolution: [640, 480]
-cam1:
-  camera_model: pinhole
-  distortion_coeffs: [-0.03, 0.05, -0.05, 0.01]
-  distortion_model: equidistant
-  intrinsics: [280.0, 281.0, 322.0, 243.0]
-  resolution: [640, 480]
-"""
-COLMAP = "1 OPENCV 640 480 500 501 321.5 242.5 -0.1 0.02 0.001 -0.002\n2 PINHOLE 640 480 280 281 322.5 243.5\n"
-FILESTORAGE = """%YAML:1.0
-camera_matrix: !!opencv-matrix
-   rows: 3
-   cols: 3
-   dt: d
-   data: [ 500., 0., 321., 0., 501., 242., 0., 0., 1. ]
-dist_coeff: !!opencv-matrix
-   rows: 4
-   cols: 1
-   dt: d
-   data: [ -0.1, 0.02, 1.0e-03, -2.0e-03 ]
-"""
-OST = """# oST version 5.0 parameters
-
-[image]
-
-width
-640
-
-height
-480
-
-[narrow]
-
-camera matrix
-500.0 0.0 321.0
-0.0 501.0 242.0
-0.0 0.0 1.0
-
-distortion
--0.1 0.02 0.001 -0.002 0.0
-
-rectification
-1.0 0.0 0.0
-"""
-CAMODOCAL = """%YAML:1.0
----
-model_type: PINHOLE
-image_width: 640
-image_height: 480
-distortion_parameters:
-   k1: -0.1
-   k2: 0.02
-   p1: 0.001
-   p2: -0.002
-projection_parameters:
-   fx: 500.0
-   fy: 501.0
-   cx: 321.0
-   cy: 242.0
-"""
-ORB = "Camera.type: \"PinHole\"\n" + "".join(
-    f"Camera.{name}: {value}\n" for name, value in {
-        "fx": 500.0, "fy": 501.0, "cx": 321.0, "cy": 242.0, "k1": -0.1, "k2": 0.02, "p1": 0.001, "p2": -0.002,
-        "width": 640, "height": 480,
-    }.items()
-)  # fmt: skip
 LENS = {"fx": 500.0, "fy": 501.0, "cx": 321.0, "cy": 242.0, "k1": -0.1, "k2": 0.02, "p1": 0.001, "p2": -0.002}
 
 
@@ -137,47 +46,6 @@ FORMS = {"message": MESSAGE, "an entry a line": ONE_A_LINE, "oST": OST, "camodoc
 def test_other_forms_are_read(text: str, tmp_path: Path, metrocli: Metrocli) -> None:
     assert imported(tmp_path, text, "ros", metrocli).code == 0
     assert lens(tmp_path / "out" / "camera.yaml") == LENS
-
-
-SENSOR = """sensor_type: camera
-T_BS:
-  cols: 4
-  rows: 4
-  data: [1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0]
-rate_hz: 20
-resolution: [640, 480]
-camera_model: pinhole
-intrinsics: [500.0, 501.0, 321.0, 242.0] #fu, fv, cu, cv
-distortion_model: radial-tangential
-distortion_coefficients: [-0.1, 0.02, 0.001, -0.002]
-"""
-STORAGE = """<?xml version="1.0"?>
-<opencv_storage>
-<calibration_Time>"Thu"</calibration_Time>
-<image_Width>640</image_Width>
-<image_Height>480</image_Height>
-<Camera_Matrix type_id="opencv-matrix">
-  <rows>3</rows>
-  <cols>3</cols>
-  <dt>d</dt>
-  <data>500. 0. 321. 0.
-    501. 242. 0. 0. 1.</data></Camera_Matrix>
-<Distortion_Coefficients type_id="opencv-matrix">
-  <rows>5</rows>
-  <cols>1</cols>
-  <dt>d</dt>
-  <data>-0.1 0.02 1e-3 -2e-3 0.</data></Distortion_Coefficients>
-</opencv_storage>
-"""
-TOOLBOX = """%-- Focal length:
-fc = [ 500.0 ; 501.0 ];
-cc = [ 321.0 ; 242.0 ];
-alpha_c = 0.000000000000000;
-kc = [ -0.1 ; 0.02 ; 0.001 ; -0.002 ; 0.000000000000000 ];
-fc_error = [ 0.3 ; 0.4 ];
-nx = 640;
-ny = 480;
-"""
 
 
 @pytest.mark.parametrize(
@@ -228,41 +96,6 @@ def test_another_model_with_the_same_keys_is_refused(tmp_path: Path, metrocli: M
     assert ran.code == 3 and "the model MEI is not known here" in ran.err
 
 
-KANNALA = """%YAML:1.0
-model_type: KANNALA_BRANDT
-image_width: 640
-image_height: 480
-projection_parameters:
-   k2: -0.01
-   k3: 0.02
-   k4: -0.03
-   k5: 0.004
-   mu: 280.0
-   mv: 281.0
-   u0: 321.0
-   v0: 242.0
-"""
-TWO_EYES = """%YAML:1.0
-Camera.type: "KannalaBrandt8"
-Camera1.fx: 280.0
-Camera1.fy: 281.0
-Camera1.cx: 321.0
-Camera1.cy: 242.0
-Camera1.k1: -0.01
-Camera1.k2: 0.02
-Camera1.k3: -0.03
-Camera1.k4: 0.004
-Camera2.fx: 290.0
-Camera2.fy: 291.0
-Camera2.cx: 322.0
-Camera2.cy: 243.0
-Camera2.k1: 0.01
-Camera2.k2: 0.0
-Camera2.k3: 0.0
-Camera2.k4: 0.0
-Camera.width: 640
-Camera.height: 480
-"""
 ANGULAR = [
     "fx: 280.0 px",
     "fy: 281.0 px",
@@ -293,18 +126,6 @@ def test_a_camera_of_mrcal_with_its_older_keys(tmp_path: Path, metrocli: Metrocl
     for model, terms, last in (("OPENCV4", ", -0.1, 0.02, 0.001, -0.002", "p2: -0.002"), ("NONE", "", "cy: 242 px")):
         assert imported(tmp_path, text.format(model, terms), "mrcal", metrocli).code == 0
         assert (tmp_path / "out" / "camera.yaml").read_text().splitlines()[-1] == last
-
-
-DOCUMENT = """<document version="1.5.0"><chunk><sensors>
-<sensor id="0" label="left, 8 mm" type="frame"><resolution width="640" height="480"/>
-<calibration type="frame" class="adjusted"><resolution width="640" height="480"/><f>501</f><cx>1.5</cx><cy>2.5</cy>
-</calibration>
-<calibration type="frame" class="initial"><resolution width="640" height="480"/><f>400</f></calibration></sensor>
-<sensor id="1" label="right" type="frame"><resolution width="640" height="480"/>
-<calibration type="frame" class="initial"><resolution width="640" height="480"/><f>502</f></calibration></sensor>
-<sensor id="2" label="spare" type="frame"><resolution width="640" height="480"/></sensor>
-</sensors></chunk></document>
-"""
 
 
 def test_each_sensor_of_a_document_of_metashape_has_a_file(tmp_path: Path, metrocli: Metrocli) -> None:

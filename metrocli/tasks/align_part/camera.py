@@ -49,11 +49,6 @@ class CameraModel:
         return tuple(camera.name for camera in self.cameras)
 
     @property
-    def convention(self) -> str:
-        """The convention of all lenses."""
-        return self.cameras[0].convention
-
-    @property
     def several(self) -> bool:
         """Whether several cameras are fixed to each other."""
         return len(self.cameras) > 1
@@ -134,7 +129,7 @@ class CameraModel:
 
     def chain(self, spread: Array | None = None) -> Chain:
         """Return the forward model of an image point; `spread` as for `spindle_camera.chain`."""
-        whole = spindle.chain(self.convention, self.several, spread)
+        whole = spindle.chain(*(camera.convention for camera in self.cameras), spread=spread)
         shape = self.cameras[0].shape
         if shape is None or self.directions is None:
             return whole

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -169,7 +169,7 @@ def simulate(job: Job[Settings, Files], options: SimulationOptions) -> Simulatio
         effects,
     )
     table = sightings_table([replace(one, conditions={}) for one in shown], seen, sigma, rng)
-    drawn: Iterable[tuple[str, Draw]] = ()
+    drawn: Sequence[tuple[str, Draw]] = ()
     if options.images and settings.pattern is not None:
         refuse_pictures(effects)
         drawn = pictures(shown, settings.pattern, rng)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from metrocli.tasks.calibrate_camera.problem import CameraProblem
 from metrocli.tasks.calibrate_camera.settings import CameraSettings, Files, Settings
 from metrocli.tasks.job import Job
 from metrocli.tasks.shared.images.tables import root_mean_square
+from metrocli.words import in_a_row
 
 _BETTER = 0.5
 """Share of the rms below which the other model is named"""
@@ -26,12 +27,15 @@ _FEWEST = 0.5
 _WHOLE = ("fx", "fy", "cx", "cy", "k1", "k2", "k3", "p1", "p2")
 """What a pinhole estimates before a fisheye is held against it"""
 _LEAST = 0.5
-"""Residuals [px] below which no fisheye is sought: corners alone can have them"""
+"""Residuals [px] below which no fisheye is sought without a declared noise: corners alone can have them"""
+_FITS = 1.1
+"""Residuals of a fisheye fit up to so many times the declared noise; up to so many times them a pinhole is as good"""
 _STEPS = 100
 _MOST_STEPS = 400
 """Of a robust start and the adjustment from it"""
 _WIDEST = np.cos(np.radians(80))
 """Cosine of the angle off the axis up to which a pinhole is compared with a fisheye"""
+C = TypeVar("C", bound=CameraSettings)
 
 
 def as_fisheye(problem: CameraProblem, settings: CameraSettings) -> CameraProblem:
@@ -40,15 +44,16 @@ def as_fisheye(problem: CameraProblem, settings: CameraSettings) -> CameraProble
     return build(problem.rig, fisheye, replace(problem.sighted, warnings=()))
 
 
-def _fisheye(settings: CameraSettings) -> CameraSettings:
+def _fisheye(settings: C) -> C:
     """Return a camera with the usual parameters of a fisheye.
 
     A principal point that the job holds is held here, too: what its freedom explains is no matter of the model.
     """
-    usual = CameraSettings(model="fisheye", image_size=settings.image_size, pixel_size=settings.pixel_size)
     held = [name for name in ("cx", "cy") if name not in settings.estimate]
-    given: dict[str, Any] = {name: value for name, value in settings.given().items() if name in held}
-    return replace(usual, estimate=tuple(name for name in usual.estimate if name not in held), **given)
+    usual = [name for name in CameraSettings(model="fisheye").estimate if name not in held]
+    new: dict[str, Any] = {name: None for name in settings.given() if name not in held}
+    new |= {"model": "fisheye", "convention": None, "base": "opencv", "estimate": tuple(usual)}
+    return replace(settings, **new)
 
 
 def other_settings(job: Job[Settings, Files], problem: CameraProblem) -> Iterator[tuple[Mistake, Job[Settings, Files]]]:
@@ -57,19 +62,66 @@ def other_settings(job: Job[Settings, Files], problem: CameraProblem) -> Iterato
     A lens whose distortion the job does not estimate is no fisheye.
     """
     old = job.settings.camera
-    whole = replace(CameraSettings(image_size=problem.image_size), estimate=_WHOLE)
-    left = _left(build(problem.rig, whole, replace(problem.sighted, warnings=())))
-    if left < _LEAST or not fisheye_instead(problem, old, left):
-        return
-    new = _fisheye(old)
+    if _is_fisheye(problem, old, job.settings.noise):
+        new = _fisheye(old)
+        yield (
+            _mistake("camera", "the lens is a fisheye", "camera: {model: fisheye}", _entries(old, new)),
+            replace(job, settings=replace(job.settings, camera=new)),
+        )
+
+
+def other_settings_of_several(
+    job: Job[Settings, Files], problems: Mapping[str, CameraProblem]
+) -> Iterator[tuple[Mistake, Job[Settings, Files]]]:
+    """Yield the model fisheye for the cameras whose readings alone show one, each as `other_settings`."""
+    old = job.settings.cameras or {}
+    new = {
+        name: _fisheye(old[name]) for name, one in problems.items() if _is_fisheye(one, old[name], job.settings.noise)
+    }
+    if new:
+        words = f"the lens of {in_a_row(list(new))} is a fisheye"
+        entries = {f"{name}.{key}": text for name in new for key, text in _entries(old[name], new[name]).items()}
+        write = f"model: fisheye in cameras: {in_a_row(list(new))}"
+        changed = replace(job.settings, cameras={**old, **new})
+        yield _mistake("cameras", words, write, entries), replace(job, settings=changed)
+
+
+def _mistake(section: str, words: str, write: str, entries: Mapping[str, str | list[str]]) -> Mistake:
+    return Mistake(section, words, write, sort="lens", entries=entries, steps=_MOST_STEPS)
+
+
+def _entries(old: CameraSettings, new: CameraSettings) -> dict[str, str | list[str]]:
+    """Return what a job writes for the new settings of a camera; an empty text for what it leaves out."""
     write: dict[str, str | list[str]] = {"model": "fisheye", "convention": ""}
     write |= {name: "" for name in old.given() if name not in new.given()}
     if old.estimate != CameraSettings().estimate:
         write["estimate"] = list(new.estimate)
-    mistake = Mistake(
-        "camera", "the lens is a fisheye", "camera: {model: fisheye}", sort="lens", entries=write, steps=_MOST_STEPS
-    )
-    yield mistake, replace(job, settings=replace(job.settings, camera=new))
+    return write
+
+
+def _is_fisheye(problem: CameraProblem, settings: CameraSettings, noise: float | str) -> bool:
+    """Return whether a fisheye fits where a pinhole with all its distortion does not.
+
+    Beside a declared noise both are known from the size of the residuals; else the fisheye must be far better.
+    """
+    if not _may_be_fisheye(problem):
+        return False
+    whole = replace(CameraSettings(image_size=problem.image_size), estimate=_WHOLE)
+    left = _left(build(problem.rig, whole, replace(problem.sighted, warnings=())))
+    if isinstance(noise, str):
+        return left >= _LEAST and bool(fisheye_instead(problem, settings, left))
+    try:
+        best = _left(as_fisheye(problem, settings))
+    except UndeterminedError:
+        return False
+    return bool(best <= min(_FITS * np.sqrt(2) * noise, left / _FITS))
+
+
+def _may_be_fisheye(problem: CameraProblem) -> bool:
+    """Return whether a pinhole is calibrated, and the readings reach so far from the axis that a fisheye differs."""
+    lens, (u, v) = problem.blocks[camera.LENS].named(), problem.images.observations.readings
+    reach = float(np.hypot(u - lens["cx"], v - lens["cy"]).max()) / lens.get("f", lens.get("fx", 1.0))
+    return problem.convention == "forward" and reach >= _FEWEST
 
 
 def _left(problem: CameraProblem) -> float:
@@ -81,9 +133,7 @@ def _left(problem: CameraProblem) -> float:
 
 def fisheye_instead(problem: CameraProblem, settings: CameraSettings, rms: float) -> list[str]:
     """Return that the model fisheye fits far better than a forward lens whose residuals have this rms [px]."""
-    lens, (u, v) = problem.blocks[camera.LENS].named(), problem.images.observations.readings
-    reach = float(np.hypot(u - lens["cx"], v - lens["cy"]).max()) / lens.get("f", lens.get("fx", 1.0))
-    if problem.convention != "forward" or reach < _FEWEST:
+    if not _may_be_fisheye(problem):
         return []
     try:
         left = _left(as_fisheye(problem, settings))

@@ -33,9 +33,17 @@ _ALONG = np.linspace(0.01, 4.0, 400)
 
 def corner_std(problem: CameraProblem, solution: Solution, readings: Array) -> float:
     """Return the largest standard uncertainty [px] of the image of a fixed direction in a corner of the image."""
-    w, h = problem.image_size
-    corners = np.array([[x, y] for x in (0, w - 1) for y in (0, h - 1)], dtype=float).T
-    return float(_of_single(problem, solution, readings).std(corners).max())
+    return _in_corners(_of_single(problem, solution, readings), problem.image_size)
+
+
+def corner_std_of_member(solution: Solution, own: CameraOfSeveral, readings: Array) -> float:
+    """Return `corner_std` of one of several cameras; `readings` are its own."""
+    return _in_corners(_of_member(solution, own, readings), own.size)
+
+
+def _in_corners(projection: _Projection, size: tuple[int, int]) -> float:
+    corners = np.array([[x, y] for x in (0, size[0] - 1) for y in (0, size[1] - 1)], dtype=float).T
+    return float(projection.std(corners).max())
 
 
 def projection_table(problem: CameraProblem, solution: Solution, readings: Array, depth: float) -> Table:
@@ -56,12 +64,16 @@ class CameraOfSeveral:
 
 def projection_of_member(solution: Solution, own: CameraOfSeveral, readings: Array, depth: float) -> Table:
     """Return the table `projection_table` of one of several cameras, with its name."""
+    columns = _over_image(_of_member(solution, own, readings), own.size, depth)
+    return Table.of({"camera [text]": [own.name] * (_GRID[0] * _GRID[1]), **columns})
+
+
+def _of_member(solution: Solution, own: CameraOfSeveral, readings: Array) -> _Projection:
+    """Return the projection by one of several cameras, with the shape of its lens."""
     lens = solution.blocks[camera.LENS]
     free = np.flatnonzero(lens.free[own.number])
-    covariance = _with_shape(solution, own, free)
     there = _Linear(own.convention, lens.columns, lens.values[own.number])
-    columns = _over_image(_Projection(there, free, covariance, readings, own.shape), own.size, depth)
-    return Table.of({"camera [text]": [own.name] * (_GRID[0] * _GRID[1]), **columns})
+    return _Projection(there, free, _with_shape(solution, own, free), readings, own.shape)
 
 
 def _with_shape(solution: Solution, own: CameraOfSeveral, free: Index) -> Array:
@@ -208,10 +220,9 @@ def coverage_note(statistics: Statistics) -> str:
     )
 
 
-def coverage_warnings(statistics: Statistics) -> list[str]:
+def corner_warnings(corner: float, width: float) -> list[str]:
     """Return that the lens is known badly in a corner of the image (beyond 5 % of the image it is a doubt)."""
-    corner, size = (float(statistics[name]) for name in ("corner_std", "image_width"))  # type: ignore[arg-type]
-    if corner <= _WARNED * size:
+    if corner <= _WARNED * width:
         return []
     return [
         f"the readings do not reach the corners of the image, where the lens is uncertain by {two_digits(corner)} px "

@@ -14,6 +14,7 @@ from metrocli.errors import InputError, UndeterminedError
 from metrocli.instruments import camera
 from metrocli.instruments.frames import DistanceBetween
 from metrocli.table import Table
+from metrocli.tasks.calibrate_camera.problem import CameraProblem
 from metrocli.tasks.shared.images.sightings import Sighted
 from metrocli.tasks.shared.lists import repeated
 
@@ -48,6 +49,30 @@ def readings(sighted: Sighted, rig: str) -> Observations:
     return replace(observations, index=index)
 
 
+_LIKE = 2.0
+"""Ratio of scale bars to distances of the list beyond which units are doubted"""
+_BARS = "scale bars"
+
+
+def longer_than_listed(problem: CameraProblem) -> float:
+    """Return how many times longer scale bars are than the distances of the listed targets; 1 without bars."""
+    bars = next((group.observations for group in problem.others if group.name == _BARS), None)
+    if bars is None:
+        return 1.0
+    one, other = problem.sighted.targets.points[bars.index[camera.TARGET]]
+    return float(np.median(bars.readings[0] / np.maximum(np.linalg.norm(other - one, axis=1), 1e-300)))
+
+
+def units_doubted(size: float) -> tuple[str, ...]:
+    """Return that scale bars and list may differ in their unit, if the bars are so many times longer than listed."""
+    if 1 / _LIKE < size < _LIKE:
+        return ()
+    return (
+        f"by its scale bars the network has {size:.3g} times the size of the list of targets: check the units of "
+        "both, unless the list has no scale of its own",
+    )
+
+
 def scale_bars(bars: Table | None, names: tuple[str, ...], seen: Index) -> list[Group]:
     """Return the group of calibrated distances [mm] between targets; an empty list without scale bars.
 
@@ -64,7 +89,7 @@ def scale_bars(bars: Table | None, names: tuple[str, ...], seen: Index) -> list[
         components=("length",),
         unit="mm",
     )
-    return [Group("scale bars", Chain((DistanceBetween(camera.TARGET),)), observations)]
+    return [Group(_BARS, Chain((DistanceBetween(camera.TARGET),)), observations)]
 
 
 def ends_of(lengths: Table, names: tuple[str, ...], seen: Index | None, what: str) -> Index:

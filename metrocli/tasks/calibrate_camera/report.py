@@ -34,10 +34,11 @@ from metrocli.tasks.calibrate_camera.problem import CameraProblem
 from metrocli.tasks.calibrate_camera.projection_error import (
     angle_warnings,
     corner_std,
+    corner_warnings,
     coverage_note,
-    coverage_warnings,
     projection_table,
 )
+from metrocli.tasks.calibrate_camera.readings import longer_than_listed, units_doubted
 from metrocli.tasks.calibrate_camera.settings import CameraSettings, Settings
 from metrocli.tasks.calibrate_camera.shape.found import shape_arrays, shape_notes, shape_rms, shape_table
 from metrocli.tasks.shared.images.adjustment import AdjustedImages
@@ -99,7 +100,7 @@ def report(problem: CameraProblem, job: Settings, adjusted: AdjustedImages, test
         statistics={**statistics, **(tested.statistics if tested is not None else {})},
         tables=tables,
         arrays=arrays,
-        warnings=(*_warnings(solved, tables.get("views")), *coverage_warnings(statistics)),
+        warnings=(*_warnings(solved, tables.get("views")), *_corner_warnings(statistics)),
         doubts=tuple(
             why_not(problem, settings, adjusted, centre, [text for text, among in folds(problem, adjusted) if among])
         ),
@@ -207,9 +208,13 @@ def _camera(solved: _Calibration) -> Table:
     return Table.of({"parameter": lens.columns, "value": lens.values[0], "std": std, "unit": units})
 
 
+def _corner_warnings(statistics: Statistics) -> list[str]:
+    return corner_warnings(*(float(statistics[name]) for name in ("corner_std", "image_width")))  # type: ignore[arg-type]
+
+
 def _warnings(solved: _Calibration, views: Table | None) -> list[str]:
     problem, adjusted = solved.problem, solved.adjusted
-    lines = image_warnings(adjusted, problem.sighted, views)
+    lines = [*image_warnings(adjusted, problem.sighted, views), *units_doubted(longer_than_listed(problem))]
     lines += correlation_warnings(solved.delivered.high_correlations())
     lines += angle_warnings(problem, solved.solution)
     lines += turned_too_little(problem, solved.solution) + seen_from_behind(problem, solved.solution)

@@ -232,8 +232,6 @@ class Settings:
             yield "cameras", "cameras are two or more: write a single one as camera: {...}"
         if self.camera != CameraSettings():
             yield "camera", "both camera and cameras are given: write each camera under cameras"
-        if len({camera.convention for camera in self.cameras.values()}) > 1:
-            yield "cameras", "cameras are of one lens model: all opencv, all fisheye or all backward"
         if len({"fx" in camera.estimate or "fx" in camera.given() for camera in self.cameras.values()}) > 1:
             yield "cameras", "either all cameras have f, or all have fx and fy"
         if self.rig == "cmm" and any(camera.model == SPLINE for camera in self.cameras.values()):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -25,11 +25,12 @@ from metrocli.tasks.calibrate_camera.diagnosis import adjusted_job, all_covariat
 from metrocli.tasks.calibrate_camera.effects import EFFECTS, PLACES
 from metrocli.tasks.calibrate_camera.length_errors import must_not_be_used
 from metrocli.tasks.calibrate_camera.multi_camera import task as multi_camera
+from metrocli.tasks.calibrate_camera.multi_camera.alone import pinholes
 from metrocli.tasks.calibrate_camera.multi_camera.simulation import simulate as several_simulated
 from metrocli.tasks.calibrate_camera.other_lenses import fisheye_instead, other_models
 from metrocli.tasks.calibrate_camera.problem import CameraProblem
 from metrocli.tasks.calibrate_camera.report import report
-from metrocli.tasks.calibrate_camera.settings import FEWEST, Files, Settings
+from metrocli.tasks.calibrate_camera.settings import FEWEST, CameraSettings, Files, Settings
 from metrocli.tasks.calibrate_camera.shape.effect import beside_base
 from metrocli.tasks.calibrate_camera.shape.spline import with_shape
 from metrocli.tasks.calibrate_camera.simulation import conditions, simulated_targets, simulated_views, true_model
@@ -78,10 +79,16 @@ def diagnosed(job: Job[Settings, Files]) -> AdjustedJob:
 
 def other_settings(job: Job[Settings, Files], fits: bool) -> Iterator[tuple[Mistake, Job[Settings, Files]]]:
     """Yield the model fisheye where a pinhole is calibrated and the lens is one; nothing if a declared noise fits."""
-    settings, camera = job.settings, job.settings.camera
+    settings = job.settings
+    each: list[CameraSettings] = [settings.camera] if settings.cameras is None else [*settings.cameras.values()]
     known = fits and isinstance(settings.noise, float)
-    if not known and settings.cameras is None and camera.convention == "forward" and camera.model != SPLINE:
+    if known or not any(one.convention == "forward" and one.model != SPLINE for one in each):
+        return
+    if settings.cameras is None:
         yield from other_lenses.other_settings(job, prepared(job)[1])
+    else:
+        system = multi_camera.prepared(job, settings.cameras)
+        yield from other_lenses.other_settings_of_several(job, dict(pinholes(system)))
 
 
 def compare(job: Job[Settings, Files]) -> Table:
@@ -172,7 +179,7 @@ def simulate(job: Job[Settings, Files], options: SimulationOptions) -> Simulatio
     seen = sights([shown], views.only)
     seen, values = planted(true_model(settings.rig, shown, seen), seen, effects)
     table = sightings_table([shown], seen, sigma, rng)
-    drawn: Iterable[tuple[str, Draw]] = ()
+    drawn: Sequence[tuple[str, Draw]] = ()
     if options.images and settings.pattern is not None:
         refuse_pictures(effects)
         drawn = pictures([shown], settings.pattern, rng, views.only)

@@ -16,9 +16,9 @@ from benchmarks.apart import rig
 Metrocli = Callable[..., Any]
 
 
-def made(folder: Path, metrocli: Metrocli, noise: int | None) -> Path:
+def made(folder: Path, metrocli: Metrocli, noise: int | None, fisheye: str = "") -> Path:
     """The job of an alignment whose cameras are calibrated; `noise` is a seed, None: without noise."""
-    rig.write_jobs(folder, None if noise is None else np.random.default_rng(noise))
+    rig.write_jobs(folder, None if noise is None else np.random.default_rng(noise), fisheye=fisheye)
     assert metrocli("calibrate-camera", folder / "cam.yaml").code == 0
     return folder / "job.yaml"
 
@@ -34,13 +34,15 @@ def estimates(ran: Any) -> dict[str, dict[str, float]]:
     return found
 
 
-def test_the_part_is_found_exactly_without_noise(tmp_path: Path, metrocli: Metrocli) -> None:
-    found = estimates(metrocli("align-part", made(tmp_path, metrocli, None), "--json"))
+@pytest.mark.parametrize("fisheye", ["", "left", "right"])
+def test_the_part_is_found_exactly_without_noise(fisheye: str, tmp_path: Path, metrocli: Metrocli) -> None:
+    found = estimates(metrocli("align-part", made(tmp_path, metrocli, None, fisheye), "--json"))
     assert {name: one["value"] for name, one in found.items()} == pytest.approx(rig.TRUTH, abs=1e-6)
 
 
-def test_the_part_is_found_within_its_uncertainty(noisy: Path, metrocli: Metrocli) -> None:
-    found = estimates(metrocli("align-part", noisy, "--json"))
+@pytest.mark.parametrize("fisheye", ["", "right"])
+def test_the_part_is_found_within_its_uncertainty(fisheye: str, tmp_path: Path, metrocli: Metrocli) -> None:
+    found = estimates(metrocli("align-part", made(tmp_path, metrocli, 5, fisheye), "--json"))
     z = [(found[name]["value"] - value) / found[name]["std"] for name, value in rig.TRUTH.items()]
     assert np.abs(z).max() < 3.5
 

@@ -102,3 +102,14 @@ def test_lengths_that_prove_nothing(tmp_path: Path, metrocli: Metrocli) -> None:
     assert (twice.code, "tests.csv:3: error: a second test length between 'T9' and 'T1'" in twice.err) == (3, True)
     for message in ("end 'X9' is not in the list", "from 'T2' to itself", "the sigma of the test length is not above"):
         assert message in ran.err
+
+
+@pytest.mark.parametrize(("unit", "doubted"), [("mm", False), ("m", True)])
+def test_bars_in_another_unit_than_the_list_are_warned_of(
+    unit: str, doubted: bool, tmp_path: Path, metrocli: Metrocli
+) -> None:
+    job = network(tmp_path)
+    (tmp_path / "bars.csv").write_text(f"from,to,length_{unit},sigma_{unit}\nT0,T4,240.0,0.005\n")
+    ran = metrocli("calibrate-camera", job)
+    assert ran.code == 0, ran.err
+    assert ("the network has 1e+03 times the size of the list of targets: check the units" in ran.err) is doubted

@@ -10,9 +10,7 @@ from collections.abc import Iterator, Mapping
 from metrocli.adjust.clusters.robust import FROM_RESIDUALS
 from metrocli.adjust.solution import Solution
 from metrocli.errors import InputError, UndeterminedError
-from metrocli.tasks.calibrate_camera.build import build
 from metrocli.tasks.calibrate_camera.doubts import principal_point, unmodelled, why_not
-from metrocli.tasks.calibrate_camera.multi_camera.images import of_camera
 from metrocli.tasks.calibrate_camera.multi_camera.system import CameraSystem
 from metrocli.tasks.calibrate_camera.other_lenses import fisheye_instead
 from metrocli.tasks.calibrate_camera.problem import CameraProblem
@@ -57,7 +55,12 @@ def fisheyes(system: CameraSystem, settings: Settings, solution: Solution) -> li
     return [f"{name}: {line}" for name, lines in each for line in lines]
 
 
+def pinholes(system: CameraSystem) -> Iterator[tuple[str, CameraProblem]]:
+    """Yield the calibration of each camera alone, but of those whose lens has a shape of its own."""
+    yield from ((name, one) for name, one in system.alone.items() if system.cameras[name].model != SPLINE)
+
+
 def _problems(system: CameraSystem, settings: Settings) -> Iterator[tuple[str, CameraProblem]]:
-    for number, (name, own) in enumerate(system.cameras.items()):
-        problem = build(system.rig, own, of_camera(system.sighted, system.exposed, number))
-        yield name, with_shape(problem, settings.noise not in FROM_RESIDUALS) if own.model == SPLINE else problem
+    for name, one in system.alone.items():
+        spline = system.cameras[name].model == SPLINE
+        yield name, with_shape(one, settings.noise not in FROM_RESIDUALS) if spline else one

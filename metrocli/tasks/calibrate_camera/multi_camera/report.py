@@ -23,7 +23,12 @@ from metrocli.tasks.calibrate_camera.length_errors import length_errors
 from metrocli.tasks.calibrate_camera.multi_camera.alone import doubts
 from metrocli.tasks.calibrate_camera.multi_camera.system import CameraSystem
 from metrocli.tasks.calibrate_camera.multi_camera.views import views_of
-from metrocli.tasks.calibrate_camera.projection_error import CameraOfSeveral, projection_of_member
+from metrocli.tasks.calibrate_camera.projection_error import (
+    CameraOfSeveral,
+    corner_std_of_member,
+    corner_warnings,
+    projection_of_member,
+)
 from metrocli.tasks.calibrate_camera.settings import Files, Settings
 from metrocli.tasks.calibrate_camera.shape.found import coefficients, rms_of
 from metrocli.tasks.job import Job
@@ -62,7 +67,7 @@ def report(system: CameraSystem, adjusted: AdjustedImages, job: Job[Settings, Fi
         **effects,
     }
     tables["targets"] = with_places(tables["targets"], solution)
-    tables["projection_error"] = _projection_error(system, adjusted)
+    tables["projection_error"], of_corners = _projection_error(system, adjusted)
     shapes = {solution.blocks[camera.LENS].members[link.member or 0]: link for link in system.shapes}
     if shapes:
         tables[LENS_SHAPE] = Table.stack(
@@ -85,6 +90,9 @@ def report(system: CameraSystem, adjusted: AdjustedImages, job: Job[Settings, Fi
         tables["length_errors"] = tested.table
     warnings = image_warnings(adjusted, system.sighted, tables["views"])
     warnings += correlation_warnings(p.high_correlations())
+    folds = list(_folds(system, adjusted))
+    folding = {name: line for name, line, among in folds if among}
+    warnings += [*of_corners, *(f"{name}: {line}" for name, line, among in folds if not among)]
     known = adjusted.noise is None
     return Result(
         kind=KIND.name,
@@ -95,7 +103,7 @@ def report(system: CameraSystem, adjusted: AdjustedImages, job: Job[Settings, Fi
         tables=tables,
         arrays={"correlation": p.correlation, **arrays},
         warnings=(*warnings, *(noise_warnings(solution) if known else ())),
-        doubts=tuple(doubts(system, job.settings, adjusted, dict(_folds(system, adjusted)))),
+        doubts=tuple(doubts(system, job.settings, adjusted, folding)),
         shown=(ShownTable(CAMERAS, ("camera", "x", "y", "z", "alpha", "beta", "gamma")),),
         notes=(
             *(tested.notes if tested is not None else ()),
@@ -118,18 +126,20 @@ def _of_shapes(system: CameraSystem, shapes: Mapping[str, LensShape], solution: 
             yield f"the readings show no shape of the lens of {name} beside its base: its result is that of the base"
 
 
-def _projection_error(system: CameraSystem, adjusted: AdjustedImages) -> Table:
-    """Return how well each camera projects over its image, at the distance of its targets."""
+def _projection_error(system: CameraSystem, adjusted: AdjustedImages) -> tuple[Table, list[str]]:
+    """Return how well each camera projects over its image, at the distance of its targets, and where badly."""
     solution, observations = adjusted.solution, adjusted.group.observations
     far, of = np.abs(depths(adjusted.group, solution)), observations.index[camera.LENS]
-    parts = []
+    parts, badly = [], list[str]()
     for number, name in enumerate(solution.blocks[camera.LENS].members):
         mine = of == number
         link = next((one for one in system.shapes if one.member == number), None)
-        own = CameraOfSeveral(name, number, system.convention, system.size(name), link)
+        own = CameraOfSeveral(name, number, system.conventions[number], system.size(name), link)
         depth = float(np.median(far[mine]))
         parts.append(projection_of_member(solution, own, observations.readings[:, mine], depth))
-    return Table.stack(parts)
+        corner = corner_std_of_member(solution, own, observations.readings[:, mine])
+        badly += [f"{name}: {line}" for line in corner_warnings(corner, own.size[0])]
+    return Table.stack(parts), badly
 
 
 def _points(solution: Solution, adjusted: AdjustedImages) -> tuple[Table, dict[str, Array]]:
@@ -179,7 +189,7 @@ def _cameras(system: CameraSystem, solution: Solution) -> Table:
     mount = solution.blocks[camera.MOUNT]
     sizes = np.array([system.size(name) for name in mount.members])
     named = [system.cameras[name].images for name in mount.members]
-    own = {"camera [text]": mount.members, "images [text]": named}
+    own = {"camera [text]": mount.members, "convention [text]": system.conventions, "images [text]": named}
     of_size = {"image_width": sizes[:, 0], "image_height": sizes[:, 1]}
     return Table.of(
         {**own, **of_size, **pose_columns(mount.values, solution.covariance_or_raise().members(camera.MOUNT))}
@@ -198,7 +208,7 @@ def _statistics(system: CameraSystem, adjusted: AdjustedImages, residuals: Resid
         "sigma0_low": low,
         "sigma0_high": high,
         "rig": system.rig,
-        "convention": system.convention,
+        "convention": " and ".join(dict.fromkeys(system.conventions)),
     }
     return image_statistics(adjusted, residuals, own)
 
@@ -215,18 +225,17 @@ def _baselines(solution: Solution) -> Iterator[str]:
         yield f"{name} is {units.format_quantity(far, 'mm', std)} from {mount.members[0]}, turned by {turn:.3g} degrees"
 
 
-def _folds(system: CameraSystem, adjusted: AdjustedImages) -> Iterator[tuple[str, str]]:
-    """Yield the cameras whose lens model folds over where they have readings, with where."""
+def _folds(system: CameraSystem, adjusted: AdjustedImages) -> Iterator[tuple[str, str, bool]]:
+    """Yield cameras whose lens model folds over inside the image, with where, and whether readings are so far out."""
     observations, lens = adjusted.group.observations, adjusted.solution.blocks[camera.LENS]
     for number, name in enumerate(lens.members):
         values = lens.named(name)
         fold = None
-        if system.convention != "backward":
-            fold = projection_range(values, system.size(name), system.convention == "fisheye")
+        if system.conventions[number] != "backward":
+            fold = projection_range(values, system.size(name), system.conventions[number] == "fisheye")
         u, v = observations.readings[:, observations.index[camera.LENS] == number]
-        if fold is not None and np.hypot(u - values["cx"], v - values["cy"]).max(initial=0.0) >= fold:
-            yield (
-                name,
-                f"the lens model folds over at {fold:.0f} px from the principal point, among the readings; "
-                f"{unfolded(lens, number)}",
-            )
+        if fold is not None:
+            among = bool(np.hypot(u - values["cx"], v - values["cy"]).max(initial=0.0) >= fold)
+            where = "among the readings" if among else "inside the image"
+            line = f"the lens model folds over at {fold:.0f} px from the principal point, {where}"
+            yield name, f"{line}; {unfolded(lens, number)}", among

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -56,7 +56,7 @@ def simulate(job: Job[Settings, Files], cameras: Mapping[str, OneOfSeveral], opt
         files["true_points.csv"] = listed_places("point", known.names, known.points)
     elif job.files.targets is None:
         files["targets.csv"] = listed_places("target", known.names, known.points)
-    drawn: Iterable[tuple[str, Draw]] = ()
+    drawn: Sequence[tuple[str, Draw]] = ()
     if options.images and settings.pattern is not None:
         drawn = pictures(shown, settings.pattern, rng, views.only)
     return Simulation(files, _true_values(shown, truth), drawn)

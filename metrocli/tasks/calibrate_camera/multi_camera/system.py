@@ -25,7 +25,7 @@ from metrocli.tasks.calibrate_camera.build import build, needed, target_datum
 from metrocli.tasks.calibrate_camera.multi_camera.images import connected, of_camera
 from metrocli.tasks.calibrate_camera.multi_camera.start import CalibratedCamera, all_in_first, pose_between
 from metrocli.tasks.calibrate_camera.problem import CameraProblem
-from metrocli.tasks.calibrate_camera.readings import scale_bars
+from metrocli.tasks.calibrate_camera.readings import scale_bars, units_doubted
 from metrocli.tasks.calibrate_camera.settings import OneOfSeveral, Settings
 from metrocli.tasks.calibrate_camera.shape.spline import extended, shape_of
 from metrocli.tasks.shared.images.adjustment import IMAGES
@@ -36,8 +36,6 @@ from metrocli.tasks.shared.images.sightings import Sighted, placed
 from metrocli.words import in_a_row
 
 _STEPS = 60
-_LIKE = 2.0
-"""Ratio of scale bars to distances of the list beyond which units are doubted"""
 _COMMON = 4
 """Fewest targets that lay the network of one camera onto that of another"""
 
@@ -50,6 +48,8 @@ class CameraSystem(Modelled):
     cameras: Mapping[str, OneOfSeveral]
     exposed: Exposures
     sighted: Sighted
+    alone: Mapping[str, CameraProblem]
+    """The calibration of each camera by its own readings, adjusted: the start of all"""
 
     @property
     def images(self) -> Group:
@@ -57,9 +57,9 @@ class CameraSystem(Modelled):
         return self.model.group(IMAGES)
 
     @property
-    def convention(self) -> str:
-        """The convention of all lenses."""
-        return next(iter(self.cameras.values())).convention
+    def conventions(self) -> tuple[str, ...]:
+        """The convention of each lens."""
+        return tuple(one.convention for one in self.cameras.values())
 
     @property
     def shapes(self) -> list[LensShape]:
@@ -87,6 +87,7 @@ def system_of(
     order = connected(exposed) if settings.rig != "cmm" else [(c, 0) for c in range(1, len(cameras))]
     size = 1.0
     each = [_alone(settings.rig, one, of_camera(sighted, exposed, i)) for i, one in enumerate(cameras.items())]
+    alone = dict(zip(cameras, each, strict=True))
     if settings.rig == "network":
         each = _in_first_frame(each, order)
         size = _size_by_bars(each[0], bars) if np.isnan(sighted.targets.sigma).all() else 1.0
@@ -98,9 +99,8 @@ def system_of(
     blocks = _blocks(settings.rig, exposed, each, (seen, held))
     targets = sighted.targets
     free = np.broadcast_to(blocks[camera.TARGET].free, targets.points.shape)
-    group = Group(
-        IMAGES, camera.chain(settings.rig, each[0].convention, several=True), exposed.readings(sighted.observations)
-    )
+    chain = camera.chain(settings.rig, *(problem.convention for problem in each))
+    group = Group(IMAGES, chain, exposed.readings(sighted.observations))
     datum = target_datum(settings.rig, blocks[camera.TARGET], several=True) if free.any() else None
     places = {"image": Place(sighted.images, IMAGE), "target": Place(targets.names, camera.TARGET)}
     seen_in = np.bincount(sighted.target, minlength=len(targets.names))
@@ -115,12 +115,8 @@ def system_of(
     # a target of a network that one camera does not place is placed by all together
     told = each if settings.rig != "network" else ()
     warnings = (*sighted.warnings, *(line for problem in told for line in problem.sighted.warnings))
-    if not 1 / _LIKE < size < _LIKE:
-        warnings += (
-            f"by its scale bars the network has {size:.3g} times the size of the list of targets: check the units of "
-            "both, unless the list has no scale of its own",
-        )
-    system = CameraSystem(model, settings.rig, cameras, exposed, replace(sighted, warnings=warnings))
+    warnings += units_doubted(size)
+    system = CameraSystem(model, settings.rig, cameras, exposed, replace(sighted, warnings=warnings), alone)
     if not sighted.eccentric:
         return system
     others = tuple(one for one in model.groups if one.name != IMAGES)

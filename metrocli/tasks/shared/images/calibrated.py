@@ -60,12 +60,13 @@ def stated_cameras(result: Result) -> list[StatedCamera]:
         return [StatedCamera("", dict(named), convention, (width, height), shape=_shape(result, (width, height)))]
     sizes = cameras.stacked(_SIZE).astype(int).tolist()
     images = cameras.texts("images") if "images" in cameras else [""] * len(cameras)
+    conventions = cameras.texts("convention") if "convention" in cameras else [convention] * len(cameras)
     place, found = cameras.stacked(poses.EULER), list[StatedCamera]()
     for row, name in enumerate(cameras.texts("camera")):
         lens = {key: value for of, (key, value) in zip(table.texts("camera"), named, strict=True) if of == name}
         pose = poses.pose_from_euler(place[row, :3], place[row, 3:]) if row else None
         size = tuple(sizes[row])
-        found.append(StatedCamera(name, lens, convention, size, images[row], pose, _shape(result, size, name)))
+        found.append(StatedCamera(name, lens, conventions[row], size, images[row], pose, _shape(result, size, name)))
     return found
 
 

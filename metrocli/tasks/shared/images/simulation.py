@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import field, replace
 
 import numpy as np
@@ -24,7 +24,7 @@ from metrocli.instruments.lenses.lens import direction, equidistant, ideal_point
 from metrocli.table import Table
 from metrocli.targets import drawings, render
 from metrocli.targets.codes import codes
-from metrocli.targets.pattern import Pattern
+from metrocli.targets.pattern import GRIDS, Pattern
 from metrocli.tasks.shared.images.adjustment import IMAGES
 from metrocli.tasks.shared.images.target_list import TargetCoordinates
 from metrocli.tasks.shared.statistics import CONDITIONS
@@ -216,13 +216,20 @@ def pictures(
     pattern: Pattern,
     rng: np.random.Generator,
     only: Callable[[int], list[int]] | None = None,
-) -> Iterator[tuple[str, Draw]]:
-    """Yield the path of each image and a function that renders it; each image has a random seed of its own."""
+) -> list[tuple[str, Draw]]:
+    """Return the path of each image and a function that renders it; each image has a random seed of its own.
+
+    Raises InputError for a board that cannot be drawn.
+    """
+    drawn = []
+    if pattern.type in GRIDS:
+        drawings.board(pattern)
     for shown in cameras:
         seeds = rng.integers(0, 2**63, len(shown.images))
         for i, image in enumerate(shown.images):
             chosen = list(range(len(shown.targets.names))) if only is None else only(i)
-            yield f"images/{image}", drawer(shown, pattern, i, chosen, int(seeds[i]))
+            drawn.append((f"images/{image}", drawer(shown, pattern, i, chosen, int(seeds[i]))))
+    return drawn
 
 
 def drawer(shown: SimulatedCamera, pattern: Pattern, image: int, chosen: list[int], seed: int) -> Draw:
