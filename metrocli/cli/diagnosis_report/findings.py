@@ -107,6 +107,8 @@ def _extension(diagnosis: Diagnosis, law: Law | None) -> str:
     added = ["the named effects"] if diagnosis.findings or diagnosis.scatters else []
     added += ["the law"] if law is not None else []
     shared = _shared(diagnosis)
+    if not added and not shared:
+        return "the job with what is said above to be right, and diagnose it again"
     if not added:
         what = "structure left" if diagnosis.left is not None else "smooth error"
         return f"the job with {shared}: its uncertainties include the {what}"
