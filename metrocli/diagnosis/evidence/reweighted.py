@@ -75,7 +75,7 @@ class Reweighted:
         )
         if shape[2] > p + 1:
             at = m.system.basis.member[rows]
-            numbers, mixed, own = np.flatnonzero(np.bincount(at)), known.mixed.copy(), known.own.copy()
+            numbers, mixed, own = np.flatnonzero(np.bincount(at[at >= 0])), known.mixed.copy(), known.own.copy()
             for number, some, w, x in zip(numbers, _parts(order, begins), inside, solved, strict=True):
                 grown = every[some, p + 1 :].T @ (weight[some, None] * every[some]) - w[:, p + 1 :].T @ x
                 mixed[number] += grown[:, : p + 1]
