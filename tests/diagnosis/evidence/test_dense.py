@@ -21,6 +21,8 @@ from metrocli.diagnosis.evidence.products import local_columns
 from metrocli.diagnosis.evidence.refined import _with_alternative
 from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.evidence.weights import ratios_in, with_noise
+from metrocli.diagnosis.extended_fit import with_random_effect
+from metrocli.diagnosis.noise import DECLARED_SIGMA
 
 Array = npt.NDArray[np.float64]
 BOARD, NETWORK = "board", "network"
@@ -145,6 +147,23 @@ def test_noise_on_trial_is_that_of_the_measurement_with_it(kind: str, count: int
     assert not watched
     spoilt = replace(m, system=replace(m.system, residual=m.system.seen(m.system.residual * (1 + 3 * m.units[1][2]))))
     assert set(ratios_in(State.of(spoilt, fixed), {0: 1.1}, [1, 3])[2]) == {1}
+
+
+def test_noise_of_prior_values_beside_errors_of_each_image() -> None:
+    """Rows of priors belong to no image."""
+    m = measurement(BOARD)
+    kept = {group.name: np.ones(group.observations.count, dtype=bool) for group in m.job.model.readings}
+    effects = [families[0].alternatives[0].effect for families in m.scatters]
+    job = with_random_effect(m.job, next(one for one in effects if one.is_smooth), 0.05, kept)
+    assert job is not None
+    m = measurement_of(job)
+    number = next(i for i, (kind, _, _) in enumerate(m.units) if kind == DECLARED_SIGMA)
+    assert (m.system.basis.member[m.units[number][2]] < 0).all()
+    state = State.of(m, [], [m.correlated(number_of(m, "place in the image", "image"), 1 / 4, -1)], [0.3])
+    weighted = state.at(with_noise(m, {number: 1.7, 0: 1.4}))
+    score, ratios, _ = ratios_in(state, {number: 1.7, 0: 1.4})
+    assert score == pytest.approx(weighted.score, abs=1e-6)
+    assert ratios[number] == pytest.approx(1.7 * weighted.ratio_of(number), rel=1e-6)
 
 
 def test_a_refined_value_is_known_without_the_weights_too() -> None:
