@@ -60,19 +60,15 @@ def _drawn(count: int) -> Path:
 
 def ours(count: int) -> Work:
     """`metrocli calibrate-camera` from the files to the result, start of the program included."""
-    from metrocli.formats import hdf5
-
     folder, (where, names_of) = Path(tempfile.mkdtemp()), _images(count)
     (folder / "job.yaml").write_text(JOB.format(images=where / names_of))
 
     def run() -> Values:
-        call = [sys.executable, "-m", "metrocli", "calibrate-camera", str(folder / "job.yaml"), "--quiet", "--force"]
-        subprocess.run(call, check=True, capture_output=True)
-        found = hdf5.read(folder / "camera.h5")[0]
-        names, values = found.tables["camera"].texts("parameter"), found.tables["camera"].numbers("value")
-        stds = found.tables["camera"].numbers("std")
-        own = [(float(values[names.index(one)]), float(stds[names.index(one)])) for one in ("fx", "fy", "cx", "cy")]
-        return [*own, (float(found.statistics["rms"]["px"]), 0.0)]
+        call = [sys.executable, "-m", "metrocli", "calibrate-camera", str(folder / "job.yaml"), "--json", "--force"]
+        found = json.loads(subprocess.run(call, check=True, capture_output=True, text=True).stdout)
+        estimates = [found["estimates"][name] for name in ("fx", "fy", "cx", "cy")]
+        rms = found["statistics"]["rms"]
+        return [*((one["value"], one["std"]) for one in estimates), (rms["px"], 0.0)]
 
     return run
 

@@ -122,14 +122,15 @@ class _Projection:
             return np.zeros(at.shape[1])
         count = self.readings.shape[1]
         some = self.readings[:, np.linspace(0, count - 1, min(count, _SAMPLE)).astype(int)]
-        there, near = self._by_lens(at), self._by_lens(some)
-        confounded = np.linalg.lstsq(self.there.by_movement(some, depth), near, rcond=None)[0]
-        change = there - self.there.by_movement(at, depth) @ confounded
+        there, near = self.there.directions(at), self.there.directions(some)
+        by_movement = self.there.by_movement(near, depth)
+        confounded = np.linalg.lstsq(by_movement, self._by_lens(some, near), rcond=None)[0]
+        change = self._by_lens(at, there) - self.there.by_movement(there, depth) @ confounded
         variance = np.einsum("ia,ab,ib->i", change, self.covariance, change)
         return np.asarray(np.sqrt(np.maximum(variance.reshape(2, -1).sum(axis=0), 0.0)))
 
-    def _by_lens(self, uv: Array) -> Array:
-        of_lens = self.there.by_lens(uv, self.free)
+    def _by_lens(self, uv: Array, directions: Array) -> Array:
+        of_lens = self.there.by_lens(uv, directions, self.free)
         return of_lens if self.link is None else np.concatenate([of_lens, by_shape(self.link, uv)], axis=1)
 
 
@@ -172,9 +173,9 @@ class _Linear:
         x, y = ideal_point(lens, uv[0], uv[1], self.convention)
         return np.concatenate([fx * x, fy * y])
 
-    def by_lens(self, uv: Array, free: Index) -> Array:
+    def by_lens(self, uv: Array, directions: Array, free: Index) -> Array:
         """Return the derivatives by the lens parameters, (2 n, k)."""
-        directions, columns = self.directions(uv), []
+        columns = []
         for k in free.tolist():
             step = np.zeros(len(self.values))
             step[k] = _STEP * max(abs(self.values[k]), 1.0)
@@ -182,13 +183,13 @@ class _Linear:
             columns.append((ahead - behind) / (2 * step[k]))
         return np.stack(columns, axis=1)
 
-    def by_movement(self, uv: Array, depth: float) -> Array:
+    def by_movement(self, flat: Array, depth: float) -> Array:
         """Return the derivatives by a rotation of the camera about x, y and z, and by a shift, by differences.
 
-        (2 n, 6), the shift in units of the depth [mm]; (2 n, 3) at an infinite depth. Points of a fisheye are at one
-        distance: those of a wide angle have no depth along the axis.
+        For directions (2, n) they are (2 n, 6), the shift in units of the depth [mm]; (2 n, 3) at an infinite depth.
+        Points of a fisheye are at one distance: those of a wide angle have no depth along the axis.
         """
-        flat, axes = self.directions(uv), np.eye(3) * _STEP
+        axes = np.eye(3) * _STEP
         fisheye = self.convention == "fisheye"
         seen = unit_vector(flat) if fisheye else np.stack([*flat, np.ones(len(flat[0]))])
         moves = [np.cross(axis, seen, axisb=0, axisc=0) for axis in axes]
