@@ -12,6 +12,7 @@ from adjust.dense import Array
 from simulated import lengths
 
 from metrocli.adjust.adjustment import adjust
+from metrocli.adjust.clusters.likelihood import Likelihood, most_likely
 from metrocli.adjust.clusters.robust import ClusterRobust, Clusters, cluster_robust
 from metrocli.adjust.clusters.spread import Excess
 from metrocli.errors import UndeterminedError
@@ -325,3 +326,11 @@ def test_what_blocks_change_is_that_of_whole_matrices(lengths_in_time: ClusterRo
     expected = without @ total @ without.T
     size = np.sqrt(np.diag(expected).max())
     assert abs(without @ stated @ without.T - expected).max() < 1e-4 * size**2
+
+
+def test_a_direction_of_the_unknowns_may_be_left_without_information() -> None:
+    """Rounding makes its information negative: of rational terms of a lens, of which two do the same."""
+    turn = np.linalg.qr(np.random.default_rng(2).normal(size=(6, 6)))[0]
+    known = Likelihood(turn[:3] * (1 + 1e-12), np.full(6, 1e16), turn[3], 20.0, 30.0)
+    assert np.isfinite(known.misfit(Excess(0.0, 1.0)))
+    assert np.isfinite(most_likely(known).at(known.strength)).all()

@@ -17,6 +17,8 @@ _START, _MOST = 0.5, 8.0
 """First and largest `ln(1 + excess)` of both parts, in a direction of average strength; above, rounding is in it"""
 _TOLERANCE = 1e-3
 """Change of -2 ln of the likelihood, for each degree of freedom, below which the search ends"""
+_ROUNDING = 1e-13
+"""Least information about a direction of the unknowns that the excess leaves, of 1"""
 
 
 @dataclass(frozen=True)
@@ -53,9 +55,11 @@ class Likelihood:
         half = self.seen * np.sqrt(taken)
         information = np.eye(len(half)) - half @ half.T
         right = self.seen @ (taken * self.residual)
-        root = np.linalg.cholesky(information)
-        square = self.square - taken @ self.residual**2 - right @ np.linalg.solve(information, right)
-        lndet = np.log1p(more).sum() + 2 * np.log(np.diag(root)).sum()
+        values, vectors = np.linalg.eigh(information)
+        # unknowns that are nearly undetermined leave a direction of rounding, which can be below 0
+        values = np.maximum(values, _ROUNDING)
+        square = self.square - taken @ self.residual**2 - ((vectors.T @ right) ** 2 / values).sum()
+        lndet = np.log1p(more).sum() + np.log(values).sum()
         return float(lndet + self.dof * np.log(square))
 
 

@@ -90,7 +90,7 @@ def _delivered(rig: str, model: Model) -> Delivered:
     return Delivered("focal length and principal point", camera.LENS, pixels, "px", "pixel")
 
 
-_PITCH = units.parse_quantity("0.1 percent", "ratio")
+PITCH = units.parse_quantity("0.1 percent", "ratio")
 _CENTRE = units.parse_quantity("10 percent", "ratio")
 _PIXEL = units.parse_quantity("0.1 percent", "ratio")
 
@@ -113,7 +113,7 @@ def _rows(
         yield Hidden(
             "pitch, or scale of the target list (distances of the board; the lens does not depend on it)",
             "0.1 %",
-            _PITCH * float(np.median(np.linalg.norm(place, axis=1))),
+            PITCH * float(np.median(np.linalg.norm(place, axis=1))),
             "the board measured over its whole length",
         )
     else:

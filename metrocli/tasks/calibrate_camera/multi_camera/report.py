@@ -9,6 +9,7 @@ import numpy as np
 from metrocli import units
 from metrocli.adjust.solution import Residuals, Solution
 from metrocli.arrays import Array
+from metrocli.doubt import UNCERTAIN_CORNER
 from metrocli.effects.estimates import estimates, free_blocks
 from metrocli.effects.estimates import tables as effect_results
 from metrocli.effects.links.lens_shape import LensShape
@@ -19,6 +20,7 @@ from metrocli.result import Result, ShownTable
 from metrocli.table import Table
 from metrocli.tasks.calibrate_camera import KIND
 from metrocli.tasks.calibrate_camera.advice import correlation_warnings, unfolded
+from metrocli.tasks.calibrate_camera.diagnosis import PITCH
 from metrocli.tasks.calibrate_camera.length_errors import length_errors
 from metrocli.tasks.calibrate_camera.multi_camera.alone import doubts
 from metrocli.tasks.calibrate_camera.multi_camera.system import CameraSystem
@@ -47,6 +49,7 @@ from metrocli.tasks.shared.images.seen_points import depths, points_of, with_pla
 from metrocli.tasks.shared.images.settings import SPLINE
 from metrocli.tasks.shared.images.tables import adjustment_notes, image_statistics, image_tables, image_warnings
 from metrocli.tasks.shared.statistics import Statistics, chi_interval, noise_notes, noise_warnings
+from metrocli.tasks.shared.uncontrolled import SCALE, SCALE_WORDS, TABLE, Hidden, in_words, table_of
 
 
 def delivered(system: CameraSystem) -> tuple[str, ...]:
@@ -67,7 +70,8 @@ def report(system: CameraSystem, adjusted: AdjustedImages, job: Job[Settings, Fi
         **effects,
     }
     tables["targets"] = with_places(tables["targets"], solution)
-    tables["projection_error"], of_corners = _projection_error(system, adjusted)
+    tables["projection_error"], of_corners, unknown = _projection_error(system, adjusted)
+    tables[TABLE] = table_of(_not_controlled(system, solution))
     shapes = {solution.blocks[camera.LENS].members[link.member or 0]: link for link in system.shapes}
     if shapes:
         tables[LENS_SHAPE] = Table.stack(
@@ -103,7 +107,7 @@ def report(system: CameraSystem, adjusted: AdjustedImages, job: Job[Settings, Fi
         tables=tables,
         arrays={"correlation": p.correlation, **arrays},
         warnings=(*warnings, *(noise_warnings(solution) if known else ())),
-        doubts=tuple(doubts(system, job.settings, adjusted, folding)),
+        doubts=(*doubts(system, job.settings, adjusted, folding), *unknown),
         shown=(ShownTable(CAMERAS, ("camera", "x", "y", "z", "alpha", "beta", "gamma")),),
         notes=(
             *(tested.notes if tested is not None else ()),
@@ -111,6 +115,7 @@ def report(system: CameraSystem, adjusted: AdjustedImages, job: Job[Settings, Fi
             *_baselines(solution),
             *_of_shapes(system, shapes, solution),
             *(noise_notes(solution) if known else ()),
+            *in_words(tables[TABLE]),
         ),
         details=adjusted.details(p.names),
         plain=("dof",),
@@ -126,11 +131,11 @@ def _of_shapes(system: CameraSystem, shapes: Mapping[str, LensShape], solution: 
             yield f"the readings show no shape of the lens of {name} beside its base: its result is that of the base"
 
 
-def _projection_error(system: CameraSystem, adjusted: AdjustedImages) -> tuple[Table, list[str]]:
-    """Return how well each camera projects over its image, at the distance of its targets, and where badly."""
+def _projection_error(system: CameraSystem, adjusted: AdjustedImages) -> tuple[Table, list[str], list[str]]:
+    """Return how well each camera projects at the distance of its targets, where badly, and too badly."""
     solution, observations = adjusted.solution, adjusted.group.observations
     far, of = np.abs(depths(adjusted.group, solution)), observations.index[camera.LENS]
-    parts, badly = [], list[str]()
+    parts, badly, unknown = [], list[str](), list[str]()
     for number, name in enumerate(solution.blocks[camera.LENS].members):
         mine = of == number
         link = next((one for one in system.shapes if one.member == number), None)
@@ -138,8 +143,28 @@ def _projection_error(system: CameraSystem, adjusted: AdjustedImages) -> tuple[T
         depth = float(np.median(far[mine]))
         parts.append(projection_of_member(solution, own, observations.readings[:, mine], depth))
         corner = corner_std_of_member(solution, own, observations.readings[:, mine])
-        badly += [f"{name}: {line}" for line in corner_warnings(corner, own.size[0])]
-    return Table.stack(parts), badly
+        allowed = UNCERTAIN_CORNER * max(own.size)
+        if corner > allowed:
+            unknown.append(
+                f"{name}: in a corner of the image the lens is uncertain by {corner:.2g} px (standard uncertainty), "
+                f"where {allowed:.2g} px (5 % of the image) are allowed: show the target near the corners, or estimate "
+                "fewer lens parameters"
+            )
+        else:
+            badly += [f"{name}: {line}" for line in corner_warnings(corner, own.size[0])]
+    return Table.stack(parts), badly, unknown
+
+
+def _not_controlled(system: CameraSystem, solution: Solution) -> Iterator[Hidden]:
+    """Yield the scale, on which the distances of the cameras from each other depend, and no residual."""
+    far = float(np.linalg.norm(solution.blocks[camera.MOUNT].values[1:, :3], axis=1).max(initial=0.0))
+    if system.rig == "board":
+        what, assumed, share = "pitch, or scale of the target list", "0.1 %", PITCH
+        control = "the board measured over its whole length"
+    else:
+        what, assumed, share = "common scale of the targets, or of the scale bars", SCALE_WORDS, SCALE
+        control = "temperature and calibration of what placed the targets, or of the scale bars"
+    yield Hidden(f"{what} (distances of the cameras from each other)", assumed, share * far, control)
 
 
 def _points(solution: Solution, adjusted: AdjustedImages) -> tuple[Table, dict[str, Array]]:
