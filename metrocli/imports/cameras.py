@@ -17,6 +17,7 @@ _FIELD_OF_VIEW = 0.05
 """Focal lengths below this share of the longer side of the image are in mm, or in units of the image"""
 _DECENTRED = 0.2
 """Beyond this p1 and p2 shift a point at 0.2 focal lengths from the centre by more than a tenth of that distance"""
+_ALONE = "# the lens of one of several cameras; their poses to each other, if the file has them, are not taken over\n"
 _SHIFT = "(?:D|distCoeffs)"
 """Begins the key of the coefficients of one of a pair of cameras, which a number ends"""
 _CENTRE = (0.02, 0.98)
@@ -32,7 +33,9 @@ def files(lines: TextLines, wishes: ImportOptions) -> Imported:
     if not cameras:
         expected = f"expected a camera of {', '.join(PROGRAMS)}"
         raise InputError([lines.fault("this is no camera of another program", None, expected)])
-    return {f"{name if len(cameras) > 1 else 'camera'}.yaml": text for name, text in cameras.items()}
+    if len(cameras) == 1:
+        return {"camera.yaml": next(iter(cameras.values()))}
+    return {f"{name}.yaml": _ALONE + text for name, text in cameras.items()}
 
 
 def as_yaml(lines: TextLines) -> str | None:
