@@ -10,7 +10,7 @@ from metrocli.result import Result, Scalar
 MOST = 2.0
 """Largest sigma0 of a result that may be used, where the job requires no other"""
 _LEVEL = 0.999
-UNCERTAIN_CORNER = 0.05
+_CORNER = 0.05
 """Largest standard uncertainty of a projection into a corner, as a share of the longer side of the image"""
 _MOST_REJECTED = 1 / 3
 
@@ -68,7 +68,7 @@ def _uncovered(
     statistics: Mapping[str, Scalar | Mapping[str, float]], verdicts: Sequence[CriterionVerdict]
 ) -> tuple[str, ...]:
     corner = _number(statistics.get("corner_std"))
-    most = UNCERTAIN_CORNER * max(_number(statistics.get("image_width")), _number(statistics.get("image_height")))
+    most = _CORNER * max(_number(statistics.get("image_width")), _number(statistics.get("image_height")))
     if not corner > most or any(verdict.name.removeprefix("statistics.") == "corner_std" for verdict in verdicts):
         return ()
     hull, radius = (100 * _number(statistics.get(f"coverage_{name}")) for name in ("hull", "radius"))

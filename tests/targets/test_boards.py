@@ -219,7 +219,7 @@ def test_real_circles_where_opencv_gives_a_wrong_order() -> None:
     [
         (11, 4, "4 x 11: is it columns: 4, rows: 11?"),
         pytest.param(5, 10, "4 x 11: is it columns: 4, rows: 11?", marks=pytest.mark.slow),
-        (4, 8, "44 circles, and the pattern of the job has 32"),
+        (4, 8, "4 x 11: is it type: asymmetric-circles, columns: 4, rows: 11?"),
     ],
 )
 def test_circles_counted_in_the_other_order_are_no_chessboard(columns: int, rows: int, words: str) -> None:

@@ -9,7 +9,6 @@ import numpy as np
 from metrocli import units
 from metrocli.adjust.solution import Residuals, Solution
 from metrocli.arrays import Array
-from metrocli.doubt import UNCERTAIN_CORNER
 from metrocli.effects.estimates import estimates, free_blocks
 from metrocli.effects.estimates import tables as effect_results
 from metrocli.effects.links.lens_shape import LensShape
@@ -70,7 +69,7 @@ def report(system: CameraSystem, adjusted: AdjustedImages, job: Job[Settings, Fi
         **effects,
     }
     tables["targets"] = with_places(tables["targets"], solution)
-    tables["projection_error"], of_corners, unknown = _projection_error(system, adjusted)
+    tables["projection_error"], of_corners = _projection_error(system, adjusted)
     tables[TABLE] = table_of(_not_controlled(system, solution))
     shapes = {solution.blocks[camera.LENS].members[link.member or 0]: link for link in system.shapes}
     if shapes:
@@ -107,7 +106,7 @@ def report(system: CameraSystem, adjusted: AdjustedImages, job: Job[Settings, Fi
         tables=tables,
         arrays={"correlation": p.correlation, **arrays},
         warnings=(*warnings, *(noise_warnings(solution) if known else ())),
-        doubts=(*doubts(system, job.settings, adjusted, folding), *unknown),
+        doubts=tuple(doubts(system, job.settings, adjusted, folding)),
         shown=(ShownTable(CAMERAS, ("camera", "x", "y", "z", "alpha", "beta", "gamma")),),
         notes=(
             *(tested.notes if tested is not None else ()),
@@ -131,11 +130,11 @@ def _of_shapes(system: CameraSystem, shapes: Mapping[str, LensShape], solution: 
             yield f"the readings show no shape of the lens of {name} beside its base: its result is that of the base"
 
 
-def _projection_error(system: CameraSystem, adjusted: AdjustedImages) -> tuple[Table, list[str], list[str]]:
-    """Return how well each camera projects at the distance of its targets, where badly, and too badly."""
+def _projection_error(system: CameraSystem, adjusted: AdjustedImages) -> tuple[Table, list[str]]:
+    """Return how well each camera projects over its image, at the distance of its targets, and where badly."""
     solution, observations = adjusted.solution, adjusted.group.observations
     far, of = np.abs(depths(adjusted.group, solution)), observations.index[camera.LENS]
-    parts, badly, unknown = [], list[str](), list[str]()
+    parts, badly = [], list[str]()
     for number, name in enumerate(solution.blocks[camera.LENS].members):
         mine = of == number
         link = next((one for one in system.shapes if one.member == number), None)
@@ -143,16 +142,8 @@ def _projection_error(system: CameraSystem, adjusted: AdjustedImages) -> tuple[T
         depth = float(np.median(far[mine]))
         parts.append(projection_of_member(solution, own, observations.readings[:, mine], depth))
         corner = corner_std_of_member(solution, own, observations.readings[:, mine])
-        allowed = UNCERTAIN_CORNER * max(own.size)
-        if corner > allowed:
-            unknown.append(
-                f"{name}: in a corner of the image the lens is uncertain by {corner:.2g} px (standard uncertainty), "
-                f"where {allowed:.2g} px (5 % of the image) are allowed: show the target near the corners, or estimate "
-                "fewer lens parameters"
-            )
-        else:
-            badly += [f"{name}: {line}" for line in corner_warnings(corner, own.size[0])]
-    return Table.stack(parts), badly, unknown
+        badly += [f"{name}: {line}" for line in corner_warnings(corner, own.size[0])]
+    return Table.stack(parts), badly
 
 
 def _not_controlled(system: CameraSystem, solution: Solution) -> Iterator[Hidden]:
