@@ -2,7 +2,7 @@
 
     python -m benchmarks peers            # all works, five times each; writes docs/benchmarks.md (make bench-peers)
     python -m benchmarks peers quick      # the smaller ones, twice each (make bench-quick)
-    python -m benchmarks peers cameras    # those of one module of benchmarks/beside
+    python -m benchmarks peers cameras    # those of one module of benchmarks/beside; the other rows of the page stay
 
 Each program runs in a process of its own, on one thread, those from PyPI in an environment of their own in build/peers.
 CPU seconds count, without the start of the interpreter except where a whole command runs. A program
@@ -175,12 +175,15 @@ def agreement_of(ours: Sequence[Sequence[float]], peer: Sequence[Sequence[float]
     return ", ".join([*words, *([f"{max(without):.0e} relative"] if without else [])])
 
 
-def table(rows: Sequence[Row]) -> Iterator[str]:
-    """Yield the lines of a table in Markdown."""
+def table(rows: Sequence[Row], page: str = "") -> Iterator[str]:
+    """Yield the lines of a table in Markdown: a row that was not measured is that of the page, if it has one."""
     yield "| work | metrocli | other program | ratio (smallest to largest) | bar | largest difference |"
     yield "|---|---|---|---|---|---|"
-    for row in rows:
-        yield f"| {' | '.join(row.cells)} |"
+    measured = {row.pair: f"| {' | '.join(row.cells)} |" for row in rows}
+    lines = [(line, line.split("|")) for line in page.splitlines() if line.startswith("| ")]
+    for pair in PAIRS:
+        old = (line for line, cells in lines if cells[1].strip() == pair.work and pair.package in cells[3])
+        yield from [line for line in (measured.get(pair) or next(old, ""),) if line]
 
 
 def machine() -> str:
@@ -201,12 +204,17 @@ def main(arguments: list[str]) -> int:
     for pair in pairs:
         rows.append(measured(pair, FEW if quick else RUNS))
         print(" | ".join(rows[-1].cells), flush=True)
-    if not arguments:
-        about = ["", f"Measured {datetime.now(UTC):%Y-%m-%d} by `make bench-peers`, five runs in turn, CPU seconds:"]
+    if not quick:
+        about = [
+            "",
+            f"Measured until {datetime.now(UTC):%Y-%m-%d} by `make bench-peers`, five runs in turn, CPU seconds:",
+        ]
         about += [f"{machine()}, Python {platform.python_version()}, numpy {version_of('numpy')}.", ""]
         head, _, rest = PAGE.read_text(encoding="utf-8").partition(MARK)
         truth = TRUTH + rest.partition(TRUTH)[2]
-        PAGE.write_text("\n".join([head + MARK, *about, *table(rows), "", truth]), encoding="utf-8")
+        PAGE.write_text(
+            "\n".join([head + MARK, *about, *table(rows, rest.partition(TRUTH)[0]), "", truth]), encoding="utf-8"
+        )
     return int(not all(row.met for row in rows))
 
 

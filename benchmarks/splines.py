@@ -67,7 +67,8 @@ def ours(board: Board, folder: Path, model: str) -> tuple[float, float]:
         encoding="utf-8",
     )
     job = load(folder / "job.yaml")
-    return compare.errors(task.prepared(task.TASK.job(job.settings, **read_inputs(job)))[1])
+    lens = compare.fitted_lens(model, task.prepared(task.TASK.job(job.settings, **read_inputs(job)))[1])
+    return lens.rms, lens.held_out
 
 
 def main() -> int:

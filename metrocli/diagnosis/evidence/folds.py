@@ -85,7 +85,7 @@ class _Nested:
 
 def gain_of_parts(state: State, parts: Sequence[Fixed | Random]) -> Gain:
     """Return the gain of some parts of a state, at the sizes with and without them, computed once."""
-    key = ("gain", *(part.key for part in parts))
+    key = ("gain", *map(id, parts))
     if key not in state.held:
         state.held[key] = gain_between(state.minus(parts), state)
     return cast("Gain", state.held[key])

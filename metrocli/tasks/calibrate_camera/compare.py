@@ -101,32 +101,27 @@ def _climb(problem: CameraProblem) -> Iterator[FittedLens]:
     # from the plainest lens upwards: a higher term of the job would start the plain models elsewhere
     here = problem.with_lens(dict.fromkeys(ladder[-1][1], 0.0))
     for name, terms in ladder:
-        here = here.with_estimate([*plain, *terms])
-        control = StoppingRule(limit=_STEPS)
-        solution = adjust(here.blocks.values(), [here.images, *here.others], here.datum, control)
-        here = here.with_blocks({**here.blocks, **solution.blocks})
-        # what the readings do not determine predicts nothing, and takes most of the time
-        held = _held_out(here) if solution.outcome.good else np.full((1, 2), np.nan)
-        yield FittedLens(name, here, solution, root_mean_square(here.images.residuals(here.blocks)), held)
+        model = fitted_lens(name, here.with_estimate([*plain, *terms]))
+        here = model.problem
+        yield model
 
 
-def errors(problem: CameraProblem) -> tuple[float, float]:
-    """Return the RMS of all images of a problem and that of images held out in turn [px]."""
-    solution = adjust(problem.blocks.values(), [problem.images, *problem.others], problem.datum)
+def fitted_lens(name: str, problem: CameraProblem) -> FittedLens:
+    """Return a lens model fitted to all images, and to those that are not held out.
+
+    What the readings do not determine predicts nothing, so its images are not held out: that takes most of the time.
+    """
+    control = StoppingRule(limit=_STEPS)
+    solution = adjust(problem.blocks.values(), [problem.images, *problem.others], problem.datum, control)
     here = problem.with_blocks({**problem.blocks, **solution.blocks})
-    total, count = _held_out(here).sum(axis=0)
-    return root_mean_square(here.images.residuals(here.blocks)), float(np.sqrt(total / count))
+    held = _held_out(here) if solution.outcome.good else np.full((1, 2), np.nan)
+    return FittedLens(name, here, solution, root_mean_square(here.images.residuals(here.blocks)), held)
 
 
 def _splines(base: FittedLens) -> list[FittedLens]:
     """Return the model with the shape of its lens, if the readings show one; its size is that of all images."""
     shaped = with_shape(base.problem, noise_known=False)
-    if link_of(shaped) is None:
-        return []
-    solution = adjust(shaped.blocks.values(), [shaped.images, *shaped.others], shaped.datum)
-    here = shaped.with_blocks({**shaped.blocks, **solution.blocks})
-    rms = root_mean_square(here.images.residuals(here.blocks))
-    return [FittedLens(f"{base.name} + spline", here, solution, rms, _held_out(here))]
+    return [] if link_of(shaped) is None else [fitted_lens(f"{base.name} + spline", shaped)]
 
 
 def _held_out(problem: CameraProblem) -> Array:
