@@ -75,7 +75,7 @@ def rows(title: str, arguments: list[str]) -> Iterator[str]:
 def published() -> Iterator[str]:
     """Yield how many published values come out, by the tests that compare with them."""
     for what, tests in PUBLISHED.items():
-        call = [sys.executable, "-m", "pytest", "-q", "--no-header", "-p", "no:cacheprovider", tests]
+        call = [sys.executable, "-m", "pytest", "--no-header", "-p", "no:cacheprovider", tests]
         last = subprocess.run(call, check=False, capture_output=True, text=True, cwd=ROOT).stdout.splitlines()[-1]
         counts = {word: int(number) for number, word in re.findall(r"(\d+) (passed|failed|error)", last)}
         if counts:
