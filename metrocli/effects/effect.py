@@ -15,6 +15,7 @@ from metrocli.expressions.written import OfUnit
 from metrocli.frozen import dataclass
 from metrocli.settings import Number, Spec, Text, WithUnit
 from metrocli.units import parse_quantity
+from metrocli.words import in_a_row
 
 ELAPSED, WARMING = "elapsed", "warming"
 """Conditions that effects vary with: time since the earliest reading [s], and temperature minus that of it [K]"""
@@ -30,6 +31,11 @@ COLUMN = {"t": "t_s", "temp": "temp_degC", "distance": "distance_mm"} | {
     )
 }
 """Column of the file that holds a condition, for messages"""
+READ_BY = {
+    "list of {point}": "a list that gives it with a standard deviation above zero",
+    "heights of {point}": "height differences that read it",
+}
+"""What a condition at a place needs that is no column, for messages"""
 MakeLink = Callable[[str, Mapping[str, str]], Link]
 """Builds the link of an effect from the name of its block and the place where it acts"""
 
@@ -237,3 +243,10 @@ class Effect:
     def all_parameters(self) -> tuple[Parameter, ...]:
         """Its parameters, followed by its scanned parameters."""
         return (*self.parameters, *self.scanned)
+
+
+def needed_in_words(conditions: Mapping[str, str]) -> str:
+    """Return what a file or a job needs for conditions at a place, by the form of the name of each."""
+    columns = in_a_row([COLUMN.get(name, name) for form, name in conditions.items() if form not in READ_BY])
+    others = [READ_BY[form] for form in conditions if form in READ_BY]
+    return " and ".join([*([f"a column {columns}"] if columns else []), *others])

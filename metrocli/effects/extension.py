@@ -15,11 +15,11 @@ from metrocli.adjust.model.groups import Group, prior
 from metrocli.adjust.rounds import with_aspects
 from metrocli.arrays import Array, Index
 from metrocli.effects.acting import NOMINAL
-from metrocli.effects.effect import COLUMN, ELAPSED, WARMING, Effect
+from metrocli.effects.effect import ELAPSED, WARMING, Effect, needed_in_words
 from metrocli.effects.model import Added, Model
 from metrocli.effects.wanted import Wanted
 from metrocli.errors import Fault, InputError
-from metrocli.words import in_a_row, suggestion
+from metrocli.words import suggestion
 
 ELSEWHERE = "elsewhere"
 """Member of an effect's block for the readings on which the effect does not act; it stays at 0"""
@@ -108,9 +108,9 @@ def _has(group: Group, needs: Sequence[str]) -> bool:
 
 def lacking(model: Model, effect: Effect, where: Mapping[str, str]) -> str:
     """Return the reason, for messages, why an effect cannot act at a place."""
-    missing = [name for name in effect.needed(where) if not any(_has(group, [name]) for group in model.readings)]
-    columns = in_a_row([COLUMN.get(name, name) for name in missing])
-    return effect.lacks or (f"needs a column {columns}" if missing else _UNTOUCHED)
+    both = zip(effect.needs, effect.needed(where), strict=True)
+    missing = {form: name for form, name in both if not any(_has(group, [name]) for group in model.readings)}
+    return effect.lacks or (f"needs {needed_in_words(missing)}" if missing else _UNTOUCHED)
 
 
 def _reaches(group: Group, effect: Effect, where: Mapping[str, str]) -> bool:

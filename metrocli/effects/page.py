@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 
-from metrocli.effects.effect import COLUMN, Effect
+from metrocli.effects.effect import COLUMN, READ_BY, Effect
 
 _BY = {"t": "time", "T": "temperature"}
 Tables = Mapping[str, Sequence[Effect]]
@@ -57,7 +57,10 @@ def _acts(effect: Effect) -> str:
         )
     first = f", not the first {effect.not_first[0]}" if effect.not_first else ""
     form = f" by {_BY[effect.by]}" if effect.by else ""
-    needs = [COLUMN.get(name.replace("{axis}", "x"), name.replace("{", "").replace("}", "")) for name in effect.needs]
+    needs = [
+        READ_BY.get(name, COLUMN.get(name.replace("{axis}", "x"), name.replace("{", "").replace("}", "")))
+        for name in effect.needs
+    ]
     parts = [f"{text}{first}{form}"]
     parts += [f"needs {', '.join(needs)}"] if needs else []
     parts += [f"similar: {_quoted(effect.confused_with)}"] if effect.confused_with else []

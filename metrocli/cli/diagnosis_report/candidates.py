@@ -18,6 +18,7 @@ from metrocli.effects.effect import Parameter
 from metrocli.words import listed
 
 _SHOWN = 5
+_NOT_TESTED = status.Status.NOT_TESTED
 _HEAD = ("candidate", "where", "status", "usual sizes", "result off by up to", "remark")
 _SEEN = {True: "seen", "part": "seen in part", False: "not seen", None: ""}
 
@@ -31,6 +32,8 @@ def candidate_lines(
 ) -> list[str]:
     """Return the table of candidates, with one line for all places of a cause that have the same status.
 
+    Where a cause is not tested, these have the same reason, too.
+
     Without `named` nothing was looked for yet: what residuals would exclude is `detectable`. `scattered` are the
     effects that are named at all places; `decided` is whether the search came to its end.
     """
@@ -42,17 +45,11 @@ def candidate_lines(
     lines = [_line(adjusted, design, name, word, candidates) for (name, word), candidates in rows.items()]
     lines += [_of_scatter(adjusted, scatter, named is None, scattered) for scatter in design.scatters]
     lines += [_of_readings(adjusted, reading, named is None) for reading in design.readings]
-    lines += [
-        (
-            untested.effect.form,
-            " ".join(untested.where.values()),
-            str(status.Status.NOT_TESTED),
-            "",
-            "",
-            untested.reason,
-        )
-        for untested in design.not_tested
-    ]
+    alike: dict[tuple[str, str], list[str]] = {}
+    for untested in design.not_tested:
+        alike.setdefault((untested.effect.form, untested.reason), []).append("/".join(untested.where.values()))
+    for (name, reason), places in alike.items():
+        lines.append((name, listed([place for place in places if place], _SHOWN), str(_NOT_TESTED), "", "", reason))
     return text_table(_HEAD, lines)
 
 
@@ -63,7 +60,7 @@ def count_of_candidates(diagnosis: Diagnosis) -> str:
     decided = not diagnosis.ended_early
     words = [status.status(candidate, named, decided) for candidate in diagnosis.design.candidates]
     words += [status.status_of_scatter(scatter, scattered) for scatter in diagnosis.design.scatters]
-    words += [status.Status.NOT_TESTED for _ in diagnosis.design.not_tested]
+    words += [_NOT_TESTED for _ in diagnosis.design.not_tested]
     counts = ", ".join(f"{count} {word}" for word, count in Counter(words).items())
     return f"candidates: {counts}; `--full` lists them with what each could hide" if counts else "no candidates"
 

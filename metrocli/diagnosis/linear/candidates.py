@@ -163,8 +163,9 @@ def _untestable(model: Model, effect: Effect) -> list[NotTested]:
     """Return the reasons why an effect cannot be modelled: one if it is the same everywhere, else place by place."""
     places = [dict(zip(effect.keys, place, strict=True)) for place in _places(model, effect)]
     if not places and (effect.definition or effect.keys[0] in model.places):
-        few = "this measurement has no" if effect.definition else "all readings share one"
-        return [NotTested(effect, f"{few} {effect.keys[0]}")]
+        key = effect.keys[0]
+        few = "all readings share one" if key in model.places and model.places[key].names else "this measurement has no"
+        return [NotTested(effect, f"{few} {key}")]
     gaps = [NotTested(effect, lacking(model, effect, at), at) for at in places if not can_act(model, effect, at)]
     if len(gaps) == len(places) and len({gap.reason for gap in gaps}) == 1:
         return [NotTested(effect, gaps[0].reason)]

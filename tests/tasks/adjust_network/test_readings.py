@@ -216,3 +216,15 @@ def test_a_known_orientation_turns_the_network(tmp_path: Path, metrocli: Metrocl
     assert turned.statistics["chi2"] == pytest.approx(free.statistics["chi2"], rel=1e-6)
     away = places(turned, net.names) - net.points
     assert np.abs(away - away.mean(axis=0)).max() < 0.2
+
+
+def test_places_that_are_not_tested_for_one_reason_stand_in_one_line(tmp_path: Path, metrocli: Metrocli) -> None:
+    net = network(np.random.default_rng(37), mixed=True)
+    told = metrocli("diagnose", net.write(tmp_path), "--design").out.splitlines()
+    lines = [line for line in told if line.startswith("given-point") and "not-tested" in line]
+    assert len(lines) == len({line.rpartition("  ")[2] for line in lines}) <= 2
+    assert any(
+        "more" in line and line.endswith("needs a list that gives it with a standard deviation above zero")
+        for line in lines
+    )
+    assert not any("needs a column heights" in line for line in told)
