@@ -53,8 +53,7 @@ def summary(diagnosis: Diagnosis) -> Iterator[str]:
         for effect in diagnosis.identified
         if effect.gain.log_score > 0
     ]
-    share = 1 - (gain.after / gain.before) ** 2 if gain.before else 0.0
-    explained = f"{100 * share:.0f} %" if share > LEAST_REDUCTION else "little"
+    explained = f"{100 * gain.explained:.0f} %" if gain.explained > LEAST_REDUCTION else "little"
     verb, remains = "explain" if len(names) > 1 else "explains", ""
     rest = [error for error in diagnosis.correlated_errors if error.unit == diagnosis.job.reading[0]]
     if rest:

@@ -22,6 +22,8 @@ class Gain:
     after: float
     median_before: float
     median_after: float
+    ratio: float
+    """Root mean square error in that without the explanation; each in its standard deviation if their units differ"""
     log_score: float
     log_score_std: float
     folds: tuple[float, ...] = ()
@@ -34,30 +36,53 @@ class Gain:
 
     @property
     def reduction(self) -> float:
-        """Fraction by which the error decreases."""
-        return 1 - self.after / self.before if self.before > 0 else 0.0
+        """Fraction by which the error decreases, readings of different units together."""
+        return 1 - self.ratio
+
+    @property
+    def explained(self) -> float:
+        """Fraction by which the sum of squares of the errors decreases."""
+        return 1 - self.ratio**2
+
+
+_PREDICTED = 100.0
+"""Largest variance of a prediction, in that of the noise: a reading that the others hardly determine shows no gain"""
 
 
 @dataclass(frozen=True)
 class Held:
-    """Prediction of one fold."""
+    """Prediction of one fold, each reading in its standard deviation."""
 
     score: float
     errors: Array
-    """Errors of prediction of the readings, in the unit in which they are reported"""
-    directions: float
-    """Number of independent errors that they amount to"""
+    """(n,)"""
+    scale: Array
+    """Standard deviation of each reading in the unit of the report, nan for readings of other units, (n,)"""
+    shares: Array
+    """Number of independent errors that each amounts to, (n,)"""
+    variances: Array
+    """Of the predictions with the noise of the readings, (n,)"""
 
 
 def gain_of(pairs: Sequence[tuple[Held, Held]]) -> Gain:
     """Return the gain from the predictions of all folds without and with what is judged."""
     differences = np.array([after.score - before.score for before, after in pairs])
     spread = float(differences.std(ddof=1)) if len(differences) > 1 else float("inf")
-    sides = list(zip(*pairs, strict=True))
-    rms = [
-        float(np.sqrt(sum((h.errors**2).sum() for h in side) / max(sum(h.directions for h in side), 1e-9)))
-        for side in sides
-    ]
-    medians = [float(np.median(np.abs(np.concatenate([held.errors for held in side])))) for side in sides]
+    kept = [np.maximum(before.variances, after.variances) <= _PREDICTED for before, after in pairs]
+    found = []
+    for side in zip(*pairs, strict=True):
+        errors, scale, shares = (
+            np.concatenate([getattr(held, name)[own] for held, own in zip(side, kept, strict=True)])
+            for name in ("errors", "scale", "shares")
+        )
+        alike = np.isfinite(scale)
+        reported = (errors * scale)[alike]
+        rms = float(np.sqrt((reported**2).sum() / max(float(shares[alike].sum()), 1e-9)))
+        median = float(np.median(np.abs(reported))) if reported.size else 0.0
+        # errors of different units are compared in their standard deviations
+        found.append((rms, median, rms if alike.all() else float(np.sqrt((errors**2).sum()))))
+    (rms, median, size), (rms_after, median_after, size_after) = found
+    ratio = size_after / size if size > 0 else 1.0
     std = spread * float(np.sqrt(len(differences)))
-    return Gain(rms[0], rms[1], medians[0], medians[1], float(differences.sum()), std, tuple(differences.tolist()))
+    score = float(differences.sum())
+    return Gain(rms, rms_after, median, median_after, ratio, score, std, tuple(differences.tolist()))

@@ -176,14 +176,17 @@ class Fold:
         for one in model.fixed:
             if one.is_reading:
                 spared[m.places[one.number][m.places[one.number] >= 0]] = True
-        shown = m.system.alike[self.rows] & ~spared[self.rows]
+        right, basis = ~spared[self.rows], m.system.basis
         if self.whole:
             x = shared_columns(m, self.others(model.fixed), model.random, rows=self.rows)
             errors = m.system.residual[self.rows] - x @ fit.sizes
-            shares = 1 - (m.system.basis.local[self.rows] ** 2).sum(axis=1)
+            shares, variances = 1 - (basis.local[self.rows] ** 2).sum(axis=1), np.ones(len(self.rows))
         else:
-            errors, shares = fit.sizes[-len(self.rows) :], np.ones(len(self.rows))
-        return Held(score, (errors * m.system.scale[self.rows])[shown], float(shares[shown].sum()))
+            count = len(self.rows)
+            errors, shares = fit.sizes[-count:], np.ones(count)
+            variances = (np.linalg.inv(fit.lower[-count:, -count:]) ** 2).sum(axis=0)
+        scale = np.where(m.system.alike, m.system.scale, np.nan)[self.rows]
+        return Held(score, errors[right], scale[right], shares[right], variances[right])
 
 
 def _log_marginal(fit: Fit, ranks: float) -> float:

@@ -12,6 +12,7 @@ import pytest
 
 from benchmarks.hidden import images, lengths
 from benchmarks.hidden.scenes import board_scene
+from metrocli.diagnosis.evidence.gain import Held, gain_of
 from metrocli.diagnosis.evidence.held_out import Fold, Model, folds_of
 from metrocli.diagnosis.evidence.measured_job import measurement_of
 from metrocli.diagnosis.evidence.measurement import Measurement
@@ -201,6 +202,36 @@ def test_held_out_readings_have_the_density_of_the_others(kind: str) -> None:
         det += np.linalg.slogdet(seen.T @ np.linalg.solve(v[np.ix_(kept, kept)], seen))[1]
         scores.append(lgamma(dof / 2) - dof / 2 * np.log(np.pi * squares) - det / 2)
     assert held.score == pytest.approx(scores[0] - scores[1], abs=1e-6)
+
+
+@pytest.mark.parametrize("kind", [BOARD, NETWORK])
+def test_single_readings_are_predicted_with_the_variance_of_a_deleted_residual(kind: str) -> None:
+    m, (fixed, random, logs) = measurement(kind), parts(kind)
+    fold = Fold(m, np.arange(3, m.system.rows, 17))
+    names = tuple(one for one in fixed if not one.is_reading)
+    held = fold.predicted(Model(names, tuple(random), np.array(logs)))
+    columns = np.concatenate([unknowns(m), *(one.columns for one in names)], axis=1)
+    turn, s, _ = np.linalg.svd(columns, full_matrices=False)
+    p = projected(covariance(m, random, logs), turn[:, : int((s > 1e-9).sum())])
+    own = np.linalg.inv(p[np.ix_(fold.rows, fold.rows)])
+    assert held.variances == pytest.approx(np.diag(own), rel=1e-6)
+    assert held.errors == pytest.approx(own @ (p @ m.system.residual)[fold.rows], rel=1e-6, abs=1e-6)
+
+
+def test_readings_that_the_others_hardly_determine_show_no_gain() -> None:
+    one, far = np.ones(2), np.array([1.0, 1e10])
+    pair = [Held(0.0, np.array([size, 1e6]), np.array([0.1, 0.1]), one, far) for size in (2.0, 1.0)]
+    found = gain_of([(pair[0], pair[1])])
+    assert (found.before, found.after, found.ratio) == pytest.approx((0.2, 0.1, 0.5))
+    assert found.explained == pytest.approx(0.75)
+
+
+def test_readings_of_another_unit_count_in_the_reduction_alone() -> None:
+    scale, one = np.array([0.1, np.nan]), np.ones(2)
+    pair = [Held(0.0, np.array([1.0, size]), scale, one, one) for size in (3.0, 1.0)]
+    found = gain_of([(pair[0], pair[1])])
+    assert found.before == found.after == pytest.approx(0.1)
+    assert found.reduction == pytest.approx(1 - np.sqrt(2 / 10))
 
 
 def test_the_gain_of_columns_is_that_of_the_likeliest_size() -> None:
