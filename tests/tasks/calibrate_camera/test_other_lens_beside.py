@@ -61,6 +61,7 @@ simulation:
     wide: {lens: {f: 500 px, k1: 0.02}, extrinsics: {x: 60 mm, y: 0 mm, z: 0 mm, alpha: 0 deg, beta: -7 deg, gamma: 0 deg}}
   images: 12
   distance: 400 mm
+require: {corner_std: "< 5000"}
 output: rig.h5
 """
 
