@@ -44,7 +44,8 @@ def is_dominated(state: State) -> bool:
 def searched(job: AdjustedJob, quick: bool = False) -> tuple[State, State]:
     """Return the state of a job as it is, and that of the search about the solution with its dominant effects.
 
-    A quick search looks for effects and wrong readings alone. Raises UndeterminedError if no reading is redundant.
+    A quick search looks for no correlated errors and no smooth effects.
+    Raises UndeterminedError if no reading is redundant.
     """
     alone = quick and job.noise_model != STRUCTURED  # a job that declares correlated errors has them
     m = measurement_of(job, quick=alone)
