@@ -65,7 +65,7 @@ def other_settings(job: Job[Settings, Files], problem: CameraProblem) -> Iterato
     if _is_fisheye(problem, old, job.settings.noise):
         new = _fisheye(old)
         yield (
-            _mistake("camera", "the lens is a fisheye", "camera: {model: fisheye}", _entries(old, new)),
+            _mistake("camera", "the lens is a fisheye", "camera: {model: fisheye}", _entries("camera", old, new)),
             replace(job, settings=replace(job.settings, camera=new)),
         )
 
@@ -80,7 +80,8 @@ def other_settings_of_several(
     }
     if new:
         words = f"the lens of {in_a_row(list(new))} is a fisheye"
-        entries = {f"{name}.{key}": text for name in new for key, text in _entries(old[name], new[name]).items()}
+        each = (_entries(f"cameras.{name}", old[name], one) for name, one in new.items())
+        entries = {key: text for own in each for key, text in own.items()}
         write = f"model: fisheye in cameras: {in_a_row(list(new))}"
         changed = replace(job.settings, cameras={**old, **new})
         yield _mistake("cameras", words, write, entries), replace(job, settings=changed)
@@ -90,13 +91,13 @@ def _mistake(section: str, words: str, write: str, entries: Mapping[str, str | l
     return Mistake(section, words, write, sort="lens", entries=entries, steps=_MOST_STEPS)
 
 
-def _entries(old: CameraSettings, new: CameraSettings) -> dict[str, str | list[str]]:
+def _entries(section: str, old: CameraSettings, new: CameraSettings) -> dict[str, str | list[str]]:
     """Return what a job writes for the new settings of a camera; an empty text for what it leaves out."""
     write: dict[str, str | list[str]] = {"model": "fisheye", "convention": ""}
     write |= {name: "" for name in old.given() if name not in new.given()}
     if old.estimate != CameraSettings().estimate:
         write["estimate"] = list(new.estimate)
-    return write
+    return {f"{section}.{key}": text for key, text in write.items()}
 
 
 def _is_fisheye(problem: CameraProblem, settings: CameraSettings, noise: float | str) -> bool:
