@@ -9,6 +9,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from metrocli.adjust.adjustment import StoppingRule, adjust
+from metrocli.arrays import Array
 from metrocli.diagnosis.corrections import Mistake
 from metrocli.errors import UndeterminedError
 from metrocli.instruments import camera
@@ -17,7 +18,7 @@ from metrocli.tasks.calibrate_camera.build import build
 from metrocli.tasks.calibrate_camera.problem import CameraProblem
 from metrocli.tasks.calibrate_camera.settings import CameraSettings, Files, Settings
 from metrocli.tasks.job import Job
-from metrocli.tasks.shared.images.tables import root_mean_square
+from metrocli.tasks.shared.images.tables import root_mean_square, scatter
 from metrocli.words import in_a_row
 
 _BETTER = 0.5
@@ -26,8 +27,6 @@ _FEWEST = 0.5
 """Smallest reach of the readings in units of the focal length: of a narrow view both models describe the lens"""
 _WHOLE = ("fx", "fy", "cx", "cy", "k1", "k2", "k3", "p1", "p2")
 """What a pinhole estimates before a fisheye is held against it"""
-_LEAST = 0.5
-"""Residuals [px] below which no fisheye is sought without a declared noise: corners alone can have them"""
 _FITS = 1.1
 """Residuals of a fisheye fit up to so many times the declared noise; up to so many times them a pinhole is as good"""
 _STEPS = 100
@@ -103,19 +102,25 @@ def _entries(section: str, old: CameraSettings, new: CameraSettings) -> dict[str
 def _is_fisheye(problem: CameraProblem, settings: CameraSettings, noise: float | str) -> bool:
     """Return whether a fisheye fits where a pinhole with all its distortion does not.
 
-    Beside a declared noise both are known from the size of the residuals; else the fisheye must be far better.
+    Both are known from the size of the residuals beside the noise: as declared, else the scatter of neighbouring
+    points. Where that cannot be told, the fisheye must be far better.
     """
     if not _may_be_fisheye(problem):
         return False
     whole = replace(CameraSettings(image_size=problem.image_size), estimate=_WHOLE)
-    left = _left(build(problem.rig, whole, replace(problem.sighted, warnings=())))
-    if isinstance(noise, str):
-        return left >= _LEAST and bool(fisheye_instead(problem, settings, left))
+    left = root_mean_square(_left(build(problem.rig, whole, replace(problem.sighted, warnings=()))))
     try:
-        best = _left(as_fisheye(problem, settings))
+        other = as_fisheye(problem, settings)
     except UndeterminedError:
         return False
-    return bool(best <= min(_FITS * np.sqrt(2) * noise, left / _FITS))
+    residuals, observations = _left(other), other.images.observations
+    if isinstance(noise, str):
+        image = observations.index.get(camera.VIEW, np.zeros(observations.count, dtype=np.intp))
+        known = scatter(residuals, observations.readings, image, problem.image_size)
+    else:
+        known = np.sqrt(2) * noise
+    best = root_mean_square(residuals)
+    return bool(best <= min(_FITS * known, left / _FITS) or (isinstance(noise, str) and best < _BETTER * left))
 
 
 def _may_be_fisheye(problem: CameraProblem) -> bool:
@@ -125,11 +130,11 @@ def _may_be_fisheye(problem: CameraProblem) -> bool:
     return problem.convention == "forward" and reach >= _FEWEST
 
 
-def _left(problem: CameraProblem) -> float:
-    """Return the root mean square of the residuals [px] of a calibration."""
+def _left(problem: CameraProblem) -> Array:
+    """Return the residuals (2, n) [px] of a calibration."""
     groups = [problem.images, *problem.others]
     solution = adjust(problem.blocks.values(), groups, problem.datum, StoppingRule(limit=_STEPS, covariance=False))
-    return root_mean_square(problem.images.residuals({**problem.blocks, **solution.blocks}))
+    return problem.images.residuals({**problem.blocks, **solution.blocks})
 
 
 def fisheye_instead(problem: CameraProblem, settings: CameraSettings, rms: float) -> list[str]:
@@ -137,7 +142,7 @@ def fisheye_instead(problem: CameraProblem, settings: CameraSettings, rms: float
     if not _may_be_fisheye(problem):
         return []
     try:
-        left = _left(as_fisheye(problem, settings))
+        left = root_mean_square(_left(as_fisheye(problem, settings)))
     except UndeterminedError:
         return []
     if not left < _BETTER * rms:
