@@ -103,7 +103,7 @@ def _is_fisheye(problem: CameraProblem, settings: CameraSettings, noise: float |
     """Return whether a fisheye fits where a pinhole with all its distortion does not.
 
     Both are known from the size of the residuals beside the noise: as declared, else the scatter of neighbouring
-    points. Where that cannot be told, the fisheye must be far better.
+    points. A fisheye that is far better is one as well, whatever the noise.
     """
     if not _may_be_fisheye(problem):
         return False
