@@ -72,8 +72,9 @@ def _uncovered(
     if not corner > most or any(verdict.name.removeprefix("statistics.") == "corner_std" for verdict in verdicts):
         return ()
     hull, radius = (100 * _number(statistics.get(f"coverage_{name}")) for name in ("hull", "radius"))
+    name = f"{statistics['worst_camera']}: " if "worst_camera" in statistics else ""
     return (
-        f"readings span {hull:.0f} % of the image, up to {radius:.0f} % of its radius. In a corner the lens is "
+        f"{name}readings span {hull:.0f} % of the image, up to {radius:.0f} % of its radius. In a corner the lens is "
         f"uncertain by {corner:.2g} px (standard uncertainty), where {most:.2g} px (5 % of the image) are "
         "allowed. Show the target near the corners, estimate fewer lens parameters, or set another limit: "
         f'`require: {{corner_std: "< {float(f"{2 * corner:.1g}"):g}"}}`',

@@ -28,7 +28,7 @@ CLEAN = "clean"
 @click.command("diagnose", help="Find what the model of a job gets wrong, why, and what correcting it gains.")
 @options.JOB
 @click.option("--design", is_flag=True, help="List what the measurement can detect at all; also before it is made.")
-@click.option("--quick", is_flag=True, help="Look for effects and wrong readings only: the first answer, in seconds.")
+@click.option("--quick", is_flag=True, help="Look for what explains most: the first answer, in seconds.")
 @click.option("--full", is_flag=True, help="List all candidates: what is excluded, and what could not be seen.")
 @click.option(
     "--out", type=click.Path(path_type=Path), metavar="FILE.yaml", help="Write the extended job to this file."

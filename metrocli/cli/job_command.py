@@ -58,8 +58,9 @@ def _job_file(kind: str, job: Path | None, wanted: dict[str, Any]) -> Path:
     result = wanted["output"] or Path("camera.h5")
     path = result.with_suffix(".yaml")
     files, *others = values
-    text = KINDS[kind].job_of(os.path.relpath(files, path.parent), *others, result.name)
-    if not glob(files):
+    count = len(glob(files))
+    text = KINDS[kind].job_of(os.path.relpath(files, path.parent), *others, result.name, count)
+    if not count:
         raise InputError([Fault(f"--images: no file matches '{files}'")])
     wanted["output"] = None
     list(write_all({path: text.encode()}, wanted["force"]))

@@ -39,7 +39,7 @@ class Mistake:
     steps: int = 24
     """Steps that its try may take, starts included; a job that is read rightly takes 12 to 15"""
     entries: Mapping[str, str | Sequence[str]] = field(default_factory=dict, compare=False)
-    """If the input is a section of the job: the right entries by their keys, "" for one that is left out"""
+    """Of a section of the job: the right entries by their places in the job, "" for one that is left out"""
 
     def __str__(self) -> str:
         return f"{self.input}: {self.words}"

@@ -66,7 +66,7 @@ def diagnose(
 
     A search whose time is spent ends with what it has found; so does one that is interrupted within `attended`.
     `ordered` computes the folds of cross-validation, perhaps on other processors; the diagnosis is the same there.
-    A `quick` one looks for effects and wrong readings alone, and states nothing on what it does not find.
+    A `quick` one looks for effects, wrong readings and noisier groups, and states nothing on what it does not find.
     Raises UndeterminedError if the unknowns use up all readings, InputError if it needs more memory than there is.
     """
     job = as_fits(job)

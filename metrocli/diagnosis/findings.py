@@ -148,7 +148,7 @@ class Diagnosis:
     interrupted: bool = False
     """Whether the user interrupted the search for laws, which ended with what it had found"""
     quick: bool = False
-    """Whether effects and wrong readings alone were looked for"""
+    """Whether no correlated errors, smooth effects and laws were looked for"""
     mistaken: Mistaken | None = None
     """A mistake in the files; all other findings are those of the job without it"""
 

@@ -37,7 +37,7 @@ _SUSPECT_PLACES = 0.2
 _MOST_ROWS = 20_000
 """Jobs with more rows are not tried by a task, since each try is an adjustment"""
 _OTHER_FITS = 2.0
-"""Another setting is reported if it makes the squared residuals so many times smaller"""
+"""Another setting is reported if it makes the squared residuals so many times smaller, or with fewer unknowns any"""
 _SURELY = 1.05
 """A least mean square that is so many times what would do rules an adjustment out: it is known to a few thousandths"""
 _MOST_FITTING = 5_000
@@ -130,7 +130,7 @@ def with_other_setting(job: AdjustedJob, others: Others) -> Mistaken | None:
         return None
     after, mistake, other = min(tried, key=lambda trial: trial[0])
     ratio = before / max(after, 1e-12)
-    if ratio < _OTHER_FITS or f_tail(dof, dof, ratio) > _BY_CHANCE:
+    if (ratio < _OTHER_FITS and _redundant(other) <= dof) or f_tail(dof, dof, ratio) > _BY_CHANCE:
         return None
     return Mistaken((mistake,), other, float(np.sqrt(before)), float(np.sqrt(after)))
 

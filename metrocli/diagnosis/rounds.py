@@ -20,8 +20,6 @@ from metrocli.errors import UndeterminedError
 _ROUNDS = 4
 _DOMINANT, _MANY = 4.0, 50
 """Effects are dominant if they lower the mean square by this factor, with at least so many degrees of freedom"""
-_CURVED = 1.2
-"""Factor of effects that are columns of the job's own blocks, such as terms of a lens, which bend beside the others"""
 _MOST_OF_IT = 0.01
 """Share of all that was gained by which a move must raise the score in a quick search"""
 
@@ -30,21 +28,25 @@ def is_dominated(state: State) -> bool:
     """Return whether most of the misfit comes from effects with which the unknowns are not adjusted yet.
 
     Signatures are derivatives. The higher-order terms of a large effect would look like other effects, so the search
-    stops until the unknowns are adjusted with it.
+    stops until the unknowns are adjusted with it. So it does at an effect that is columns of the job's own blocks, such
+    as a term of a lens: it bends beside the others, and only about its own solution differs from those that look alike
+    (docs/decisions/264-terms-of-a-lens-bend.md).
     """
     m = state.measurement
     new = [part for part in state.named if m.alternative(part.key).spot not in m.job.adjusted]
     if not new or m.dof < _MANY:
         return False
     old = [part for part in state.named if part not in new]
-    curved = any(m.alternative(part.key).effect.link is None for part in new)
-    return State.of(m, old).variance > (_CURVED if curved else _DOMINANT) * State.of(m, state.named).variance
+    if any(m.alternative(part.key).effect.link is None for part in new):
+        return True
+    return State.of(m, old).variance > _DOMINANT * State.of(m, state.named).variance
 
 
 def searched(job: AdjustedJob, quick: bool = False) -> tuple[State, State]:
     """Return the state of a job as it is, and that of the search about the solution with its dominant effects.
 
-    A quick search looks for effects and wrong readings alone. Raises UndeterminedError if no reading is redundant.
+    A quick search looks for no correlated errors and no smooth effects.
+    Raises UndeterminedError if no reading is redundant.
     """
     alone = quick and job.noise_model != STRUCTURED  # a job that declares correlated errors has them
     m = measurement_of(job, quick=alone)

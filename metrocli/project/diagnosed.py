@@ -273,7 +273,7 @@ def _corrected(job: JobFile, diagnosis: Diagnosis) -> Sequence[tuple[Node, Node]
         return job.root.entries
     root = job.root
     for path, value in wrong.entries.items():
-        root = with_entry(root, (wrong.input, *path.split(".")), value)
+        root = with_entry(root, path.split("."), value)
     return root.entries
 
 

@@ -71,8 +71,8 @@ class Kind:
         figures: dict[str, str] = self._module("settings").figures(settings)
         return figures
 
-    def job_of(self, *values: str) -> str:
-        """Return the text of the job that the values of the options `described` and the name of its output give."""
+    def job_of(self, *values: str | int) -> str:
+        """Return the text of the job of the values of the options `described`, of its output, and of so many files."""
         text: str = self._module("settings").job_of(*values)
         return text
 

@@ -86,6 +86,20 @@ def test_a_list_that_is_uncertain_throughout_is_one_finding(
     assert (again["verdict"], again["effects"]) == ("clean", [])
 
 
+def test_the_first_answer_is_one_finding_too(measured: Callable[[np.ndarray, int], Path], metrocli: Metrocli) -> None:
+    """It had named nearly every target, and each reading of the noisier image as a wrong one."""
+    job = measured(listed() + np.random.default_rng(33).normal(0, 0.1, listed().shape), 4)
+    rng, lines = np.random.default_rng(34), Path("obs.csv").read_text().splitlines()
+    for at, (image, target, *uv) in enumerate(line.split(",") for line in lines):
+        if image == "i3":
+            lines[at] = ",".join([image, target, *(str(float(one) + rng.normal(0, 1.0)) for one in uv)])
+    Path("obs.csv").write_text("\n".join(lines) + "\n")
+    data = json.loads(metrocli("diagnose", job, "--quick", "--json").out)
+    assert [(one["name"], one["where"]) for one in data["effects"]] == [("moved-target", {})]
+    assert not data["outliers"] and [one["image"] for one in data["noise"]["apart"]] == ["i3"]
+    assert "not-decided, but image i3 is" in metrocli("diagnose", job, "--quick").out
+
+
 def affine(moved: np.ndarray) -> np.ndarray:
     """The affine part of moves of the listed targets."""
     columns = np.column_stack([np.ones(len(moved)), listed()[:, :2]])

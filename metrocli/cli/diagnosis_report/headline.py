@@ -23,9 +23,8 @@ def headline(diagnosis: Diagnosis) -> str:
     """Return the verdict with what limits it: wrong readings, and noise that is not as declared."""
     noise, count = diagnosis.noise, len(diagnosis.outliers)
     wrong = f", with {count} wrong reading{'s' if count > 1 else ''}" if count else ""
-    if diagnosis.quick:
-        return f"{diagnosis.verdict}{wrong}"
-    as_declared = noise.as_declared or diagnosis.job.noise_model or ESTIMATED in diagnosis.job.declared
+    not_told = diagnosis.quick or diagnosis.job.noise_model or ESTIMATED in diagnosis.job.declared
+    as_declared = noise.as_declared or not_told
     limits = [] if as_declared else [f"the noise is {_times(noise.ratio)} times what was declared"]
     limits += [noisier(unit) for unit in diagnosis.variance_groups if unit.key != DECLARED_SIGMA]
     if diagnosis.left is None and diagnosis.job.noise_model != STRUCTURED:

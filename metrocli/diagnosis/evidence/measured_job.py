@@ -47,7 +47,7 @@ def measurement_of(
 ) -> Measurement:
     """Return a job linearised about its solution; one `like` it, of the same candidates, gives the numbers of tests.
 
-    A quick one has no random parts and no variance groups: effects and wrong readings alone are looked for in it.
+    A quick one has no correlated errors and no smooth effects, whose many columns take the most time.
     """
     system = _with_standing(job, linearised(job.model, weights or {}))
     families, not_tested = families_of(job, system)
@@ -62,10 +62,10 @@ def measurement_of(
         system,
         tuple(families),
         not_tested,
-        () if quick else tuple(_scatters(job, system, every)),
+        tuple(_scatters(job, system, every, smooth=not quick)),
         () if quick else tuple(Knots.of(functions) for functions in process_bases(job, system)),
         places,
-        () if quick else tuple(variance_groups(job, system)),
+        tuple(variance_groups(job, system)),
         prices,
     )
 
@@ -84,15 +84,20 @@ def _places(system: Linearised, job: AdjustedJob) -> Index:
 
 
 def _scatters(
-    job: AdjustedJob, system: Linearised, families: Sequence[CandidateGroup]
+    job: AdjustedJob, system: Linearised, families: Sequence[CandidateGroup], smooth: bool
 ) -> list[tuple[CandidateGroup, ...]]:
-    """Return the families of each effect that usually acts at all its places, if it has enough of them."""
+    """Return the families of each effect that usually acts at all its places, if it has enough of them.
+
+    Smooth ones are left out if they are not asked for.
+    """
     from metrocli.effects.extension import can_act_everywhere
 
     by_name: dict[str, list[CandidateGroup]] = {}
     for family in families:
         effect = family.alternatives[0].effect if family.alternatives else None
-        if effect is not None and effect.of_all and can_act_everywhere(system.model, effect):
+        if effect is None or not effect.of_all or (effect.is_smooth and not smooth):
+            continue
+        if can_act_everywhere(system.model, effect):
             by_name.setdefault(family.name, []).append(family)
     found = []
     for own in by_name.values():

@@ -143,18 +143,18 @@ def _tilted(problem: CameraProblem) -> bool:
     return bool((np.arccos(np.clip(cosine, -1, 1)) > _PARALLEL).any())
 
 
-def turned_too_little(problem: CameraProblem, solution: Solution) -> list[str]:
+def turned_too_little(problem: CameraProblem) -> list[str]:
     """Return that the images of an unknown board are not turned, where the principal point is estimated with it.
 
     A board that lies the same way round in all images has its errors where the lens has its own. Several solutions
     then fit about equally well (docs/decisions/145-turned-views.md).
     """
-    lens = solution.blocks[camera.LENS]
+    lens = problem.blocks[camera.LENS]
     if problem.rig != "board" or problem.datum is None or not lens.free[0, np.isin(lens.columns, ("cx", "cy"))].any():
         return []
     # an axis of the list may be the normal of the board: the longest axis of the board is in its plane
     along = poses.rotation_of(plane_frame(problem.sighted.targets.points[np.unique(problem.sighted.target)])[0])[0]
-    across = poses.rotation_of(solution.blocks[camera.VIEW].values) @ along
+    across = poses.rotation_of(problem.blocks[camera.VIEW].values) @ along
     roll = np.sort(np.arctan2(across[:, 1], across[:, 0]))
     # the arc that holds all of them is a turn without the largest gap
     turn = 2 * np.pi - float(np.diff(roll, append=roll[0] + 2 * np.pi).max())
@@ -167,7 +167,7 @@ def turned_too_little(problem: CameraProblem, solution: Solution) -> list[str]:
     ]
 
 
-def seen_from_behind(problem: CameraProblem, solution: Solution) -> list[str]:
+def seen_from_behind(problem: CameraProblem) -> list[str]:
     """Return which images show a flat board from the other side than most: they may be mirrored.
 
     A mirrored image of a board fits the board seen from behind, so no residual shows it.
@@ -175,7 +175,7 @@ def seen_from_behind(problem: CameraProblem, solution: Solution) -> list[str]:
     frame, planar = plane_frame(problem.sighted.targets.points[np.unique(problem.sighted.target)])
     if problem.rig != "board" or not planar:
         return []
-    behind = poses.apply(frame, poses.inverse(solution.blocks[camera.VIEW].values)[:, :3])[:, 2] > 0
+    behind = poses.apply(frame, poses.inverse(problem.blocks[camera.VIEW].values)[:, :3])[:, 2] > 0
     few = behind if 2 * behind.sum() <= len(behind) else ~behind
     named = [name for name, there in zip(problem.sighted.images, few, strict=True) if there]
     noun = "image" if len(named) == 1 else "images"

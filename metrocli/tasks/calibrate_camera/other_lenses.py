@@ -9,6 +9,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from metrocli.adjust.adjustment import StoppingRule, adjust
+from metrocli.arrays import Array
 from metrocli.diagnosis.corrections import Mistake
 from metrocli.errors import UndeterminedError
 from metrocli.instruments import camera
@@ -17,7 +18,7 @@ from metrocli.tasks.calibrate_camera.build import build
 from metrocli.tasks.calibrate_camera.problem import CameraProblem
 from metrocli.tasks.calibrate_camera.settings import CameraSettings, Files, Settings
 from metrocli.tasks.job import Job
-from metrocli.tasks.shared.images.tables import root_mean_square
+from metrocli.tasks.shared.images.tables import root_mean_square, scatter
 from metrocli.words import in_a_row
 
 _BETTER = 0.5
@@ -26,8 +27,6 @@ _FEWEST = 0.5
 """Smallest reach of the readings in units of the focal length: of a narrow view both models describe the lens"""
 _WHOLE = ("fx", "fy", "cx", "cy", "k1", "k2", "k3", "p1", "p2")
 """What a pinhole estimates before a fisheye is held against it"""
-_LEAST = 0.5
-"""Residuals [px] below which no fisheye is sought without a declared noise: corners alone can have them"""
 _FITS = 1.1
 """Residuals of a fisheye fit up to so many times the declared noise; up to so many times them a pinhole is as good"""
 _STEPS = 100
@@ -65,7 +64,7 @@ def other_settings(job: Job[Settings, Files], problem: CameraProblem) -> Iterato
     if _is_fisheye(problem, old, job.settings.noise):
         new = _fisheye(old)
         yield (
-            _mistake("camera", "the lens is a fisheye", "camera: {model: fisheye}", _entries(old, new)),
+            _mistake("camera", "the lens is a fisheye", "camera: {model: fisheye}", _entries("camera", old, new)),
             replace(job, settings=replace(job.settings, camera=new)),
         )
 
@@ -80,7 +79,8 @@ def other_settings_of_several(
     }
     if new:
         words = f"the lens of {in_a_row(list(new))} is a fisheye"
-        entries = {f"{name}.{key}": text for name in new for key, text in _entries(old[name], new[name]).items()}
+        each = (_entries(f"cameras.{name}", old[name], one) for name, one in new.items())
+        entries = {key: text for own in each for key, text in own.items()}
         write = f"model: fisheye in cameras: {in_a_row(list(new))}"
         changed = replace(job.settings, cameras={**old, **new})
         yield _mistake("cameras", words, write, entries), replace(job, settings=changed)
@@ -90,31 +90,37 @@ def _mistake(section: str, words: str, write: str, entries: Mapping[str, str | l
     return Mistake(section, words, write, sort="lens", entries=entries, steps=_MOST_STEPS)
 
 
-def _entries(old: CameraSettings, new: CameraSettings) -> dict[str, str | list[str]]:
+def _entries(section: str, old: CameraSettings, new: CameraSettings) -> dict[str, str | list[str]]:
     """Return what a job writes for the new settings of a camera; an empty text for what it leaves out."""
     write: dict[str, str | list[str]] = {"model": "fisheye", "convention": ""}
     write |= {name: "" for name in old.given() if name not in new.given()}
     if old.estimate != CameraSettings().estimate:
         write["estimate"] = list(new.estimate)
-    return write
+    return {f"{section}.{key}": text for key, text in write.items()}
 
 
 def _is_fisheye(problem: CameraProblem, settings: CameraSettings, noise: float | str) -> bool:
     """Return whether a fisheye fits where a pinhole with all its distortion does not.
 
-    Beside a declared noise both are known from the size of the residuals; else the fisheye must be far better.
+    Both are known from the size of the residuals beside the noise: as declared, else the scatter of neighbouring
+    points. A fisheye that is far better is one as well, whatever the noise.
     """
     if not _may_be_fisheye(problem):
         return False
     whole = replace(CameraSettings(image_size=problem.image_size), estimate=_WHOLE)
-    left = _left(build(problem.rig, whole, replace(problem.sighted, warnings=())))
-    if isinstance(noise, str):
-        return left >= _LEAST and bool(fisheye_instead(problem, settings, left))
+    left = root_mean_square(_left(build(problem.rig, whole, replace(problem.sighted, warnings=()))))
     try:
-        best = _left(as_fisheye(problem, settings))
+        other = as_fisheye(problem, settings)
     except UndeterminedError:
         return False
-    return bool(best <= min(_FITS * np.sqrt(2) * noise, left / _FITS))
+    residuals, observations = _left(other), other.images.observations
+    if isinstance(noise, str):
+        image = observations.index.get(camera.VIEW, np.zeros(observations.count, dtype=np.intp))
+        known = scatter(residuals, observations.readings, image, problem.image_size)
+    else:
+        known = np.sqrt(2) * noise
+    best = root_mean_square(residuals)
+    return bool(best <= min(_FITS * known, left / _FITS) or (isinstance(noise, str) and best < _BETTER * left))
 
 
 def _may_be_fisheye(problem: CameraProblem) -> bool:
@@ -124,11 +130,11 @@ def _may_be_fisheye(problem: CameraProblem) -> bool:
     return problem.convention == "forward" and reach >= _FEWEST
 
 
-def _left(problem: CameraProblem) -> float:
-    """Return the root mean square of the residuals [px] of a calibration."""
+def _left(problem: CameraProblem) -> Array:
+    """Return the residuals (2, n) [px] of a calibration."""
     groups = [problem.images, *problem.others]
     solution = adjust(problem.blocks.values(), groups, problem.datum, StoppingRule(limit=_STEPS, covariance=False))
-    return root_mean_square(problem.images.residuals({**problem.blocks, **solution.blocks}))
+    return problem.images.residuals({**problem.blocks, **solution.blocks})
 
 
 def fisheye_instead(problem: CameraProblem, settings: CameraSettings, rms: float) -> list[str]:
@@ -136,7 +142,7 @@ def fisheye_instead(problem: CameraProblem, settings: CameraSettings, rms: float
     if not _may_be_fisheye(problem):
         return []
     try:
-        left = _left(as_fisheye(problem, settings))
+        left = root_mean_square(_left(as_fisheye(problem, settings)))
     except UndeterminedError:
         return []
     if not left < _BETTER * rms:

@@ -13,6 +13,7 @@ from metrocli.instruments import camera
 from metrocli.instruments.camera_start import plane_frame
 from metrocli.instruments.lenses.lens import equidistant, focal, ideal_point, image_point, unit_vector
 from metrocli.table import Table
+from metrocli.tasks.calibrate_camera.lens_conventions import coverage
 from metrocli.tasks.calibrate_camera.problem import CameraProblem
 from metrocli.tasks.calibrate_camera.shape.found import by_shape, link_of
 from metrocli.tasks.shared.statistics import Statistics
@@ -31,19 +32,28 @@ _ALONG = np.linspace(0.01, 4.0, 400)
 """Directions that are tried for an image point, as multiples of its direction without distortion"""
 
 
-def corner_std(problem: CameraProblem, solution: Solution, readings: Array) -> float:
-    """Return the largest standard uncertainty [px] of the image of a fixed direction in a corner of the image."""
-    return _in_corners(_of_single(problem, solution, readings), problem.image_size)
+def covered(problem: CameraProblem, solution: Solution, readings: Array) -> Statistics:
+    """Return the statistics of how much of the image the readings (2, n) cover, and how well it is known beyond.
+
+    `corner_std` [px] is the largest standard uncertainty of the image of a fixed direction in a corner of the image.
+    """
+    return _covered(_of_single(problem, solution, readings), problem.image_size)
 
 
-def corner_std_of_member(solution: Solution, own: CameraOfSeveral, readings: Array) -> float:
-    """Return `corner_std` of one of several cameras; `readings` are its own."""
-    return _in_corners(_of_member(solution, own, readings), own.size)
+def covered_by_member(solution: Solution, own: CameraOfSeveral, readings: Array) -> Statistics:
+    """Return the statistics `covered` of one of several cameras; `readings` are its own."""
+    return _covered(_of_member(solution, own, readings), own.size)
 
 
-def _in_corners(projection: _Projection, size: tuple[int, int]) -> float:
+def _covered(projection: _Projection, size: tuple[int, int]) -> Statistics:
+    lens = projection.there.named(projection.there.values)
     corners = np.array([[x, y] for x in (0, size[0] - 1) for y in (0, size[1] - 1)], dtype=float).T
-    return float(projection.std(corners).max())
+    return {
+        **coverage(projection.readings, size, (lens["cx"], lens["cy"])),
+        "corner_std": float(projection.std(corners).max()),
+        "image_width": size[0],
+        "image_height": size[1],
+    }
 
 
 def projection_table(problem: CameraProblem, solution: Solution, readings: Array, depth: float) -> Table:
@@ -221,8 +231,9 @@ def coverage_note(statistics: Statistics) -> str:
     )
 
 
-def corner_warnings(corner: float, width: float) -> list[str]:
+def corner_warnings(statistics: Statistics) -> list[str]:
     """Return that the lens is known badly in a corner of the image (beyond 5 % of the image it is a doubt)."""
+    corner, width = (float(statistics[name]) for name in ("corner_std", "image_width"))  # type: ignore[arg-type]
     if corner <= _WARNED * width:
         return []
     return [
@@ -231,23 +242,25 @@ def corner_warnings(corner: float, width: float) -> list[str]:
     ]
 
 
-def angle_warnings(problem: CameraProblem, solution: Solution) -> list[str]:
-    """Return that all images show a flat board at one angle, where the focal length is known badly."""
-    lens = solution.blocks[camera.LENS]
+def angle_warnings(problem: CameraProblem, std: Array) -> list[str]:
+    """Return that all images show a flat board at one angle, where the focal length is known badly.
+
+    The problem has lens and views of the solution; `std` are the standard uncertainties of the lens.
+    """
+    lens = problem.blocks[camera.LENS]
     free = [at for at, name in enumerate(lens.columns) if name in ("f", "fx", "fy") and lens.free[0, at]]
     frame, planar = plane_frame(problem.sighted.targets.points[np.unique(problem.sighted.target)])
     if problem.rig != "board" or not free or not planar:
         return []
-    normals = poses.rotation_of(solution.blocks[camera.VIEW].values) @ poses.rotation_of(frame)[2]
+    normals = poses.rotation_of(problem.blocks[camera.VIEW].values) @ poses.rotation_of(frame)[2]
     normals = normals * np.sign(normals @ normals[0])[:, None]
     middle = normals.mean(axis=0) / np.linalg.norm(normals.mean(axis=0))
     apart = float(np.arccos(np.clip(normals @ middle, -1, 1)).max())
-    std = np.sqrt(np.diag(solution.covariance_or_raise().of(camera.LENS)))[free]
-    if apart > _ONE_ANGLE or (std < _BADLY * lens.values[0, free]).all():
+    share = std[free] / lens.values[0, free]
+    if apart > _ONE_ANGLE or (share < _BADLY).all():
         return []
-    share = 100 * float((std / lens.values[0, free]).max())
     return [
         f"all images show the board at one angle, within {two_digits(float(np.degrees(apart)))} degrees, and the focal "
-        f"length is known to {two_digits(share)} % only: tilt the board by 20 to 45 degrees about both axes of the "
-        "image"
+        f"length is known to {two_digits(100 * float(share.max()))} % only: tilt the board by 20 to 45 degrees about "
+        "both axes of the image"
     ]

@@ -26,16 +26,15 @@ from metrocli.tasks.calibrate_camera.doubts import PrincipalPoint, principal_poi
 from metrocli.tasks.calibrate_camera.length_errors import LengthErrors, length_errors
 from metrocli.tasks.calibrate_camera.lens_conventions import (
     conventions_table,
-    coverage,
     form_covariance,
     photogrammetric_form,
 )
 from metrocli.tasks.calibrate_camera.problem import CameraProblem
 from metrocli.tasks.calibrate_camera.projection_error import (
     angle_warnings,
-    corner_std,
     corner_warnings,
     coverage_note,
+    covered,
     projection_table,
 )
 from metrocli.tasks.calibrate_camera.readings import longer_than_listed, units_doubted
@@ -100,7 +99,7 @@ def report(problem: CameraProblem, job: Settings, adjusted: AdjustedImages, test
         statistics={**statistics, **(tested.statistics if tested is not None else {})},
         tables=tables,
         arrays=arrays,
-        warnings=(*_warnings(solved, tables.get("views")), *_corner_warnings(statistics)),
+        warnings=(*_warnings(solved, tables.get("views")), *corner_warnings(statistics)),
         doubts=tuple(
             why_not(problem, settings, adjusted, centre, [text for text, among in folds(problem, adjusted) if among])
         ),
@@ -163,7 +162,6 @@ def _tested(solved: _Calibration, tests: Table, job: Settings) -> LengthErrors:
 def _statistics(solved: _Calibration) -> Statistics:
     problem, adjusted, solution, values = solved.problem, solved.adjusted, solved.solution, solved.residuals.values
     observations = adjusted.group.observations
-    lens = solved.lens.named()
     u_rms, v_rms = np.sqrt((values**2).mean(axis=1)).tolist()
     eigenvalues, _ = np.linalg.eigh(solved.delivered.correlation)
     low, high = chi_interval(solution)
@@ -177,14 +175,11 @@ def _statistics(solved: _Calibration) -> Statistics:
         "rejected": len(adjusted.rejected),
         "images": len(problem.sighted.images),
         "targets": len(np.unique(observations.index[camera.TARGET])),
-        **coverage(observations.readings, problem.image_size, (lens["cx"], lens["cy"])),
-        "corner_std": corner_std(problem, solution, observations.readings),
+        **covered(problem, solution, observations.readings),
         "shape_rms": shape_rms(problem, solution),
         "sigma0_low": low,
         "sigma0_high": high,
         "condition": float(np.sqrt(eigenvalues.max(initial=1.0) / max(eigenvalues.min(initial=1.0), 1e-300))),
-        "image_width": problem.image_size[0],
-        "image_height": problem.image_size[1],
         "pixel_size": pixel if pixel is not None else float("nan"),
         "rig": problem.rig,
         "convention": problem.convention,
@@ -208,16 +203,13 @@ def _camera(solved: _Calibration) -> Table:
     return Table.of({"parameter": lens.columns, "value": lens.values[0], "std": std, "unit": units})
 
 
-def _corner_warnings(statistics: Statistics) -> list[str]:
-    return corner_warnings(*(float(statistics[name]) for name in ("corner_std", "image_width")))  # type: ignore[arg-type]
-
-
 def _warnings(solved: _Calibration, views: Table | None) -> list[str]:
     problem, adjusted = solved.problem, solved.adjusted
     lines = [*image_warnings(adjusted, problem.sighted, views), *units_doubted(longer_than_listed(problem))]
     lines += correlation_warnings(solved.delivered.high_correlations())
-    lines += angle_warnings(problem, solved.solution)
-    lines += turned_too_little(problem, solved.solution) + seen_from_behind(problem, solved.solution)
+    found = problem.with_blocks({**problem.blocks, **solved.solution.blocks})
+    lines += angle_warnings(found, solved.solution.std(camera.LENS)[0])
+    lines += turned_too_little(found) + seen_from_behind(found)
     lines += noise_warnings(solved.solution) if adjusted.noise is None else []
     lines += solved.centre.warnings() if solved.centre is not None else []
     return lines + [text for text, among in folds(solved.problem, adjusted) if not among]

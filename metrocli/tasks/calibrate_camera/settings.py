@@ -6,7 +6,8 @@ import json
 from collections.abc import Iterable, Mapping
 from typing import Any, ClassVar
 
-from metrocli.adjust.clusters.robust import FROM_RESIDUALS
+from metrocli.adjust.clusters import robust
+from metrocli.adjust.clusters.robust import ESTIMATED, FROM_RESIDUALS, STRUCTURED
 from metrocli.frozen import dataclass
 from metrocli.imageset import ImageSet
 from metrocli.instruments.lenses.lens import PARAMETERS, UNITS
@@ -261,12 +262,17 @@ class Settings:
                 yield f"simulation.cameras.{name}", f"{name} {where}"
 
 
-def job_of(images: str, board: str, output: str) -> str:
-    """Return the text of the job of images and the board that they show; raises UsageError as `board_in_words`."""
+def job_of(images: str, board: str, output: str, count: int) -> str:
+    """Return the text of the job of images, so many, and the board that they show.
+
+    Its noise is structured where there are enough images. Raises UsageError as `board_in_words`.
+    """
     pattern = ", ".join(f"{key}: {value}" for key, value in board_in_words(board).items())
+    # uncertainties for white noise are too small on real boards (docs/decisions/265-a-first-job-is-structured.md)
+    noise = STRUCTURED if count >= robust.FEWEST else ESTIMATED
     return (
         f"metrocli: 1\njob: calibrate-camera\nrig: board\ninputs: {{images: {json.dumps(images)}}}\n"
-        f"pattern: {{{pattern}}}\nnoise: estimated\noutput: {json.dumps(output)}\n"
+        f"pattern: {{{pattern}}}\nnoise: {noise}\noutput: {json.dumps(output)}\n"
     )
 
 

@@ -26,6 +26,7 @@ from metrocli.tasks.calibrate_camera.effects import EFFECTS, PLACES
 from metrocli.tasks.calibrate_camera.length_errors import must_not_be_used
 from metrocli.tasks.calibrate_camera.multi_camera import task as multi_camera
 from metrocli.tasks.calibrate_camera.multi_camera.alone import pinholes
+from metrocli.tasks.calibrate_camera.multi_camera.paired import as_several
 from metrocli.tasks.calibrate_camera.multi_camera.simulation import simulate as several_simulated
 from metrocli.tasks.calibrate_camera.other_lenses import fisheye_instead, other_models
 from metrocli.tasks.calibrate_camera.problem import CameraProblem
@@ -78,8 +79,13 @@ def diagnosed(job: Job[Settings, Files]) -> AdjustedJob:
 
 
 def other_settings(job: Job[Settings, Files], fits: bool) -> Iterator[tuple[Mistake, Job[Settings, Files]]]:
-    """Yield the model fisheye where a pinhole is calibrated and the lens is one; nothing if a declared noise fits."""
+    """Yield several cameras in place of one whose images pair, and the model fisheye in place of a pinhole.
+
+    The model is held against the readings where no declared noise fits.
+    """
     settings = job.settings
+    if settings.cameras is None:
+        yield from as_several(job)
     each: list[CameraSettings] = [settings.camera] if settings.cameras is None else [*settings.cameras.values()]
     known = fits and isinstance(settings.noise, float)
     if known or not any(one.convention == "forward" and one.model != SPLINE for one in each):

@@ -41,6 +41,7 @@ def test_one_line_calibrates_and_leaves_the_job(images: Path, metrocli: Metrocli
     ran = metrocli("calibrate-camera", "--images", "img/*.png", "--board", "chessboard 7x5 25 mm")
     assert ran.code == 0, ran.err
     assert 'images: "img/*.png"' in (images / "camera.yaml").read_text() and (images / "camera.h5").exists()
+    assert "noise: structured" in (images / "camera.yaml").read_text() and "cluster-robust over 6 images" in ran.out
     again = metrocli("check", "camera.yaml")
     assert again.code == 0, again.err
     other = metrocli(
@@ -48,6 +49,12 @@ def test_one_line_calibrates_and_leaves_the_job(images: Path, metrocli: Metrocli
     )
     assert other.code == 3 and "they show 7 x 5: is it columns: 7, rows: 5?" in other.err
     assert 'images: "../img/*.png"' in (images / "a/b.yaml").read_text() and not (images / "a/b.h5").exists()
+
+
+def test_few_images_have_white_noise(images: Path, metrocli: Metrocli) -> None:
+    (images / "img/4.png").unlink(), (images / "img/5.png").unlink()
+    ran = metrocli("calibrate-camera", "--images", "img/*.png", "--board", "chessboard 7x5 25 mm")
+    assert ran.code == 0 and "noise: estimated" in (images / "camera.yaml").read_text(), ran.err
 
 
 @pytest.mark.parametrize(
@@ -69,10 +76,10 @@ def test_words_that_describe_no_job(
 
 
 def test_boards_in_words() -> None:
-    text = job_of("a.png", "charuco 11x8 15 mm 11.2mm apriltag_36h11", "r.h5")
+    text = job_of("a.png", "charuco 11x8 15 mm 11.2mm apriltag_36h11", "r.h5", 9)
     assert (
         "{type: charuco, columns: 11, rows: 8, pitch: 15 mm, marker_size: 11.2 mm, dictionary: apriltag_36h11}" in text
     )
-    assert "pitch: 25 mm, diameter: 15 mm}" in job_of("a.png", "circles 10x8 25 mm 15 mm", "r.h5")
+    assert "pitch: 25 mm, diameter: 15 mm}" in job_of("a.png", "circles 10x8 25 mm 15 mm", "r.h5", 9)
     with pytest.raises(UsageError, match="is not type"):
-        job_of("a.png", "chessboard 9x6 25 mm 3 mm", "r.h5")
+        job_of("a.png", "chessboard 9x6 25 mm 3 mm", "r.h5", 9)

@@ -345,7 +345,9 @@ def test_a_diagnosis_names_the_fisheyes_first(as_pinholes: tuple[tuple[str, ...]
     assert found["verdict"] == "mistaken", ran.out
     words = f"the lens of {' and '.join(fisheyes)} is a fisheye"
     assert words in ran.out
-    assert metrocli("calibrate-camera", path.with_name("better.yaml")).code == 0
+    # the board fills the middle of these images alone, which is said of a camera as of a single one
+    assert "right: readings span" in metrocli("calibrate-camera", path.with_name("better.yaml")).out
+    assert metrocli("calibrate-camera", path.with_name("better.yaml"), "--set", "require.corner_std=< 1000").code == 0
     held = yaml.safe_load(path.with_name("better.yaml").read_text())["cameras"]
     assert [name for name, one in held.items() if one.get("model") == "fisheye"] == list(fisheyes)
     assert all(one["images"] == f"{name}*.png" for name, one in held.items())
@@ -360,8 +362,34 @@ def test_each_camera_is_warned_of_as_a_single_one(tmp_path: Path, metrocli: Metr
     rows = [row for row in (tmp_path / "obs.csv").read_text().splitlines() if "nan" not in row]
     (tmp_path / "obs.csv").write_text("\n".join(rows))
     ran = metrocli("calibrate-camera", path)
+    assert ran.code == 6 and "DOUBTFUL: right: readings span" in ran.out, ran.out
     assert "right: the readings do not reach the corners of the image" in ran.err, ran.err
     assert "left: the readings" not in ran.err
+    with h5py.File(tmp_path / "rig.h5") as file:
+        assert file["statistics"].attrs["worst_camera"] == "right"
+    limit = ran.out.split("require: {corner_std: ")[1].split("}")[0].strip('"')
+    assert metrocli("calibrate-camera", path, "--set", f"require.corner_std={limit}").code == 0
+
+
+def test_views_at_one_angle_are_named_by_camera(tmp_path: Path, metrocli: Metrocli) -> None:
+    rng, images = np.random.default_rng(5), Seen()
+    for shot in range(6):
+        tilt = [1.5 * shot, 20 + rng.uniform(-2, 2), 0]
+        own = Rotation.from_euler("zxy", tilt, degrees=True).apply(BOARD - BOARD.mean(axis=0)) + [0, 0, 350]
+        for name, points in (("left", own), ("right", TURN.inv().apply(own - SHIFT))):
+            uv = cv2.projectPoints(points, np.zeros(3), np.zeros(3), square(name), np.array(LENSES[name][3:]))[0][:, 0]
+            images[f"{name}{shot}.png"] = uv + rng.normal(0, 0.3, uv.shape)
+    lenses = [", estimate: [f]" + "".join(f", {k}: {v}" for k, v in zip(("k1", "k2", "p1", "p2"), lens[3:], strict=True))
+              + f", cx: {lens[1]} px, cy: {lens[2]} px" for lens in LENSES.values()]  # fmt: skip
+    ran = metrocli("calibrate-camera", job(tmp_path, images, lenses))
+    assert all(f"{name}: all images show the board at one angle" in ran.err for name in LENSES), ran.err
+
+
+def test_an_image_from_behind_is_named_with_its_camera(tmp_path: Path, metrocli: Metrocli) -> None:
+    images = seen(8)
+    images["left8.png"] = images["left3.png"] * [-1, 1] + [SIZE[0] - 1, 0]
+    ran = metrocli("calibrate-camera", job(tmp_path, images))
+    assert "left: image left8.png: the board is seen from the other side" in ran.err, ran.err
 
 
 def test_the_scale_of_several_cameras_is_not_controlled(tmp_path: Path, metrocli: Metrocli) -> None:

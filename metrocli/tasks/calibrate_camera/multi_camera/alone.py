@@ -6,14 +6,19 @@ Poses and a noise that follows the residuals take up what a lens lacks, with sev
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 
 from metrocli.adjust.clusters.robust import FROM_RESIDUALS
 from metrocli.adjust.solution import Solution
 from metrocli.errors import InputError, UndeterminedError
+from metrocli.instruments import camera
+from metrocli.tasks.calibrate_camera.advice import seen_from_behind, turned_too_little
 from metrocli.tasks.calibrate_camera.doubts import principal_point, unmodelled, why_not
 from metrocli.tasks.calibrate_camera.multi_camera.system import CameraSystem
+from metrocli.tasks.calibrate_camera.multi_camera.views import views_of
 from metrocli.tasks.calibrate_camera.other_lenses import fisheye_instead
 from metrocli.tasks.calibrate_camera.problem import CameraProblem
+from metrocli.tasks.calibrate_camera.projection_error import angle_warnings
 from metrocli.tasks.calibrate_camera.settings import Settings
 from metrocli.tasks.calibrate_camera.shape.spline import with_shape
 from metrocli.tasks.shared.images.adjustment import AdjustedImages, Options, adjust_images
@@ -22,14 +27,15 @@ from metrocli.tasks.shared.images.settings import SPLINE
 from metrocli.tasks.shared.images.tables import root_mean_square
 
 
-def doubts(
+def doubts_and_warnings(
     system: CameraSystem, settings: Settings, adjusted: AdjustedImages, folded: Mapping[str, str]
-) -> Iterator[str]:
-    """Yield why cameras must not be used; `folded` has those whose lens model folds over as all readings have it.
+) -> tuple[list[str], list[str]]:
+    """Return why cameras must not be used, and what else their readings contradict.
 
-    Effects of a job are those of all cameras: what one of them alone leaves is then no reason against it.
+    `folded` has the cameras whose lens model folds over as all readings have it. Effects of a job are those of all
+    cameras: what one of them alone leaves is then no reason against it.
     """
-    told = False
+    doubts, warnings = list[str](), list[str]()
     for name, problem in () if system.effects else _problems(system, settings):
         options = Options(settings.outliers == "remove", settings.noise in FROM_RESIDUALS, problem.image_size)
         try:
@@ -37,15 +43,32 @@ def doubts(
         except (UndeterminedError, InputError):
             continue  # the readings of all cameras determine it
         if alone.solution.outcome.good:
-            folds = [folded[name]] if name in folded else []
-            found = why_not(problem, system.cameras[name], alone, principal_point(problem, alone), folds)
-            yield from (f"{name}: {line}" for line in found)
-            told = told or bool(found)
-    if told:
+            folds, centre = [folded[name]] if name in folded else [], principal_point(problem, alone)
+            doubts += (f"{name}: {line}" for line in why_not(problem, system.cameras[name], alone, centre, folds))
+            warnings += (f"{name}: {line}" for line in (centre.warnings() if centre is not None else []))
+    if not doubts:
+        size = max((system.size(name) for name in system.cameras), key=max)
+        doubts += (f"{name}: {line}" for name, line in folded.items())
+        doubts += unmodelled(adjusted, adjusted.group.observations.index[IMAGE], size)
+    return doubts, warnings
+
+
+def view_warnings(system: CameraSystem, solution: Solution) -> Iterator[str]:
+    """Yield what the views of a camera do not show, by the values and uncertainties that all readings give."""
+    if system.rig != "board":
         return
-    yield from (f"{name}: {line}" for name, line in folded.items())
-    size = max((system.size(name) for name in system.cameras), key=max)
-    yield from unmodelled(adjusted, adjusted.group.observations.index[IMAGE], size)
+    lens, std, views = solution.blocks[camera.LENS], solution.std(camera.LENS), views_of(system, solution)[0]
+    unturned = list[str]()
+    for number, (name, problem) in enumerate(system.alone.items()):
+        own = replace(lens, values=lens.values[[number]], free=lens.free[[number]], members=("",))
+        there = problem.blocks[camera.VIEW].with_values(views[system.exposed.camera == number])
+        found = problem.with_blocks({**problem.blocks, camera.LENS: own, camera.VIEW: there})
+        lines = angle_warnings(found, std[number]) + seen_from_behind(found)
+        yield from (f"{name}: {line}" for line in lines)
+        unturned += (f"{name}: {line}" for line in turned_too_little(found))
+    # all see one board: a single camera that is turned separates its errors from those of lenses
+    if len(unturned) == len(system.cameras):
+        yield from unturned
 
 
 def fisheyes(system: CameraSystem, settings: Settings, solution: Solution) -> list[str]:

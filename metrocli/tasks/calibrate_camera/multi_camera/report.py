@@ -21,13 +21,14 @@ from metrocli.tasks.calibrate_camera import KIND
 from metrocli.tasks.calibrate_camera.advice import correlation_warnings, unfolded
 from metrocli.tasks.calibrate_camera.diagnosis import PITCH
 from metrocli.tasks.calibrate_camera.length_errors import length_errors
-from metrocli.tasks.calibrate_camera.multi_camera.alone import doubts
+from metrocli.tasks.calibrate_camera.multi_camera.alone import doubts_and_warnings, view_warnings
 from metrocli.tasks.calibrate_camera.multi_camera.system import CameraSystem
 from metrocli.tasks.calibrate_camera.multi_camera.views import views_of
 from metrocli.tasks.calibrate_camera.projection_error import (
     CameraOfSeveral,
-    corner_std_of_member,
     corner_warnings,
+    coverage_note,
+    covered_by_member,
     projection_of_member,
 )
 from metrocli.tasks.calibrate_camera.settings import Files, Settings
@@ -69,7 +70,7 @@ def report(system: CameraSystem, adjusted: AdjustedImages, job: Job[Settings, Fi
         **effects,
     }
     tables["targets"] = with_places(tables["targets"], solution)
-    tables["projection_error"], of_corners = _projection_error(system, adjusted)
+    tables["projection_error"], covers = _projection_error(system, adjusted)
     tables[TABLE] = table_of(_not_controlled(system, solution))
     shapes = {solution.blocks[camera.LENS].members[link.member or 0]: link for link in system.shapes}
     if shapes:
@@ -95,22 +96,27 @@ def report(system: CameraSystem, adjusted: AdjustedImages, job: Job[Settings, Fi
     warnings += correlation_warnings(p.high_correlations())
     folds = list(_folds(system, adjusted))
     folding = {name: line for name, line, among in folds if among}
-    warnings += [*of_corners, *(f"{name}: {line}" for name, line, among in folds if not among)]
+    doubts, contradicted = doubts_and_warnings(system, job.settings, adjusted, folding)
+    warnings += [*view_warnings(system, solution), *contradicted]
+    warnings += [f"{name}: {line}" for name, of_camera in covers.items() for line in corner_warnings(of_camera)]
+    warnings += [f"{name}: {line}" for name, line, among in folds if not among]
     known = adjusted.noise is None
+    statistics = {**_statistics(system, adjusted, residuals), **_worst(covers)}
     return Result(
         kind=KIND.name,
         title="",
         estimates=p.estimates,
         covariance=p.covariance,
-        statistics={**_statistics(system, adjusted, residuals), **(tested.statistics if tested is not None else {})},
+        statistics={**statistics, **(tested.statistics if tested is not None else {})},
         tables=tables,
         arrays={"correlation": p.correlation, **arrays},
         warnings=(*warnings, *(noise_warnings(solution) if known else ())),
-        doubts=tuple(doubts(system, job.settings, adjusted, folding)),
+        doubts=tuple(doubts),
         shown=(ShownTable(CAMERAS, ("camera", "x", "y", "z", "alpha", "beta", "gamma")),),
         notes=(
             *(tested.notes if tested is not None else ()),
             *adjustment_notes(adjusted),
+            *(f"{name}: {coverage_note(of_camera)}" for name, of_camera in covers.items()),
             *_baselines(solution),
             *_of_shapes(system, shapes, solution),
             *(noise_notes(solution) if known else ()),
@@ -130,20 +136,30 @@ def _of_shapes(system: CameraSystem, shapes: Mapping[str, LensShape], solution: 
             yield f"the readings show no shape of the lens of {name} beside its base: its result is that of the base"
 
 
-def _projection_error(system: CameraSystem, adjusted: AdjustedImages) -> tuple[Table, list[str]]:
-    """Return how well each camera projects over its image, at the distance of its targets, and where badly."""
+def _projection_error(system: CameraSystem, adjusted: AdjustedImages) -> tuple[Table, dict[str, Statistics]]:
+    """Return how well each camera projects over its image, at the distance of its targets, and what it covers."""
     solution, observations = adjusted.solution, adjusted.group.observations
     far, of = np.abs(depths(adjusted.group, solution)), observations.index[camera.LENS]
-    parts, badly = [], list[str]()
+    parts, covers = [], dict[str, Statistics]()
     for number, name in enumerate(solution.blocks[camera.LENS].members):
         mine = of == number
         link = next((one for one in system.shapes if one.member == number), None)
         own = CameraOfSeveral(name, number, system.conventions[number], system.size(name), link)
         depth = float(np.median(far[mine]))
         parts.append(projection_of_member(solution, own, observations.readings[:, mine], depth))
-        corner = corner_std_of_member(solution, own, observations.readings[:, mine])
-        badly += [f"{name}: {line}" for line in corner_warnings(corner, own.size[0])]
-    return Table.stack(parts), badly
+        covers[name] = covered_by_member(solution, own, observations.readings[:, mine])
+    return Table.stack(parts), covers
+
+
+def _worst(covers: Mapping[str, Statistics]) -> Statistics:
+    """Return what the camera covers that is known worst in a corner, for the size of its image, with its name."""
+
+    def uncertain(name: str) -> float:
+        corner, width, height = (covers[name][key] for key in ("corner_std", "image_width", "image_height"))
+        return float(corner) / max(float(width), float(height))  # type: ignore[arg-type]
+
+    worst = max(covers, key=uncertain)
+    return {**covers[worst], "worst_camera": worst}
 
 
 def _not_controlled(system: CameraSystem, solution: Solution) -> Iterator[Hidden]:

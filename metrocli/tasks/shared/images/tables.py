@@ -31,6 +31,32 @@ def root_mean_square(values: Array) -> float:
     return float(np.sqrt((values**2).sum(axis=0).mean())) if values.size else float("nan")
 
 
+FEW = 20
+"""Fewest readings of an image whose residuals are smoothed"""
+_SMOOTH = 7
+"""Largest degree of the polynomial that stands for what the lens model lacks in one image"""
+
+
+def scatter(residuals: Array, readings: Array, image: Index, size: tuple[int, int]) -> float:
+    """Return the scatter of image points about their neighbours [px], as `root_mean_square` has it; NaN of few points.
+
+    It is what a polynomial in u and v leaves of the residuals (2, n) of an image, the median of all images. `image` is
+    that of each reading, `size` that of images [px].
+    """
+    w, h = size
+    squares = list[float]()
+    for i in np.flatnonzero(np.bincount(image) >= FEW).tolist():
+        mine = image == i
+        x, y = readings[0, mine] / w - 0.5, readings[1, mine] / h - 0.5
+        # at least twice as many points as coefficients, or the polynomial would take the noise, too
+        degree = next(d for d in range(_SMOOTH, 0, -1) if (d + 1) * (d + 2) <= mine.sum())
+        smooth = np.stack([x**a * y**b for a in range(degree + 1) for b in range(degree + 1 - a)], axis=1)
+        values = residuals[:, mine].T
+        left = values - smooth @ np.linalg.lstsq(smooth, values, rcond=None)[0]
+        squares.append(float((left**2).sum()) / (len(left) - smooth.shape[1]))
+    return float(np.sqrt(np.median(squares))) if squares else float("nan")
+
+
 def rms_table(residuals: Array, group: Group, label: str, index: Index, names: Sequence[str]) -> Table:
     """Return a row for each image or target with the number of its readings and their residuals [px].
 
