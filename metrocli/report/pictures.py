@@ -14,7 +14,7 @@ import numpy as np
 from metrocli import plots
 from metrocli.plots import control_chart, style
 from metrocli.plots.beside import ALONE, Beside
-from metrocli.plots.scene import TILT, TURN, Scene
+from metrocli.plots.scene import TILT, TURN, Scene, named
 from metrocli.report.html import EMPTY, Html, code, joined, scrolling, tag
 from metrocli.report.pdf import roles, variable
 from metrocli.result import Result
@@ -25,7 +25,6 @@ LARGEST = 150_000
 """Characters of an SVG beyond which the figure is an image of pixels"""
 MOST = 1_200_000
 """Characters of all figures of a page; those beyond it are named only"""
-_NAMED = 12
 _PLAIN = re.compile(r"[^A-Za-z0-9]+")
 _ID = re.compile(r'(\bid="|url\(#|href="#)')
 
@@ -121,18 +120,20 @@ def _turning(scene: Scene) -> dict[str, Any]:
     kinds = []
     for place in scene.places:
         kind: dict[str, Any] = {"kind": place.kind, "at": _rounded(place.at - middle)}
-        if len(place.names) <= _NAMED:
-            kind["names"] = [shortened(name, style.LETTERS) for name in place.names]
+        if place.faint:
+            kind["faint"] = True
         if place.vectors is not None:
             kind["vectors"] = _rounded(place.vectors)
         if place.lines is not None:
-            kind["lines"] = _rounded((place.lines - middle).reshape(-1, 2, 3))
+            ends = (place.lines - middle).reshape(-1, 2, 3)
+            kind["lines"] = _rounded(ends[(ends[:, 0] != ends[:, 1]).any(axis=1)])
         if place.covariance is not None and np.isfinite(place.covariance).all():
             kind["covariance"] = _rounded(4 * place.covariance)
         kinds.append(kind)
     return {
         "turn": float(TURN), "tilt": float(TILT), "size": 2 * reach or 1.0, "kinds": kinds,
         "vectors": scene.vectors, "ellipsoids": scene.ellipsoids,
+        "names": [[k, row, shortened(scene.places[k].names[row], style.LETTERS)] for k, row in named(scene.places)],
     }  # fmt: skip
 
 
