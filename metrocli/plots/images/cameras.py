@@ -65,7 +65,7 @@ def _rms(result: Result, images: list[str]) -> Array:
     """Return the root mean square of the residuals of each image, 0 where it is not known."""
     views = result.tables["views"]
     known = dict(zip(views.texts("image"), views.numbers("rms").tolist(), strict=True)) if "rms" in views else {}
-    return np.nan_to_num(np.array([known.get(image, 0.0) for image in images]))
+    return np.asarray(np.nan_to_num([known.get(image, 0.0) for image in images]))
 
 
 def _named(of: Index, worst: Array, few: bool) -> tuple[int, ...]:
