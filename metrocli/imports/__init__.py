@@ -47,7 +47,7 @@ FORMATS: dict[str, ImportFormat] = {
         "mapping",
     ),
     **dict.fromkeys(
-        ("opencv", "ros", "colmap", "kalibr", "mrcal", "metashape", "matlab"),
+        ("opencv", "opencv-yaml", "ros", "colmap", "kalibr", "mrcal", "metashape", "matlab"),
         ImportFormat(
             "metrocli.imports.cameras",
             "camera of another program, as the camera file of align-part",

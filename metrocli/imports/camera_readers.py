@@ -46,7 +46,10 @@ def _of_opencv(lines: TextLines, text: str) -> ReadCamera:
     if fisheye not in (None, "0", "1"):
         raise InputError([lines.fault(f"fisheye_model: {fisheye}", None, "expected 0 or 1")])
     if model is None:
-        if keys.has("camera_name|rectification_matrix|projection_matrix|[RP]"):
+        # R and P are those of ROS too, but OpenCV's storage has R beside T, from the first of two cameras
+        if keys.has("camera_name|rectification_matrix|projection_matrix") or (
+            "opencv" not in text and keys.has("[RP]")
+        ):
             must_have(lines, "ROS", {"distortion_model": model})
         program, form = "opencv", form_of(lines, "opencv", "fisheye" if fisheye == "1" else "opencv", len(shift))
     else:
@@ -231,6 +234,11 @@ def _of_matlab(lines: TextLines, text: str) -> ReadCamera:
     lengths = {"focalLength": alone or len(focal) == 2, "principalPoint": len(centre) == 2, "imageSize": len(size) == 2}
     must_have(lines, "MATLAB", lengths)
     form, named = PROGRAMS["matlab"].forms[0], lists[4] if lists else ""
+    given = re.findall(r"['\"]\s*(\w+)\s*['\"]|(\w+)\s*=", named)
+    if strange := [name for pair in given for name in pair if name and name not in _OF_MATLAB]:
+        raise InputError(
+            [lines.fault(f"cameraIntrinsics has no {strange[0]}", None, f"expected {', '.join(_OF_MATLAB)}")]
+        )
     values = dict(zip(("fx", "fy", "cx", "cy"), [*(focal * 2)[:2], *centre], strict=True))
     for key, names in {"Radial": ("k1", "k2", "k3"), "Tangential": ("p1", "p2")}.items():
         given = text_after(lines, rf"\b{key}Distortion['\"]?\s*[,=]([^\]'\"=]*)", named)
@@ -246,6 +254,7 @@ def _of_matlab(lines: TextLines, text: str) -> ReadCamera:
     return camera_of(lines, "matlab", form, size[::-1], values)
 
 
+_OF_MATLAB = ("RadialDistortion", "TangentialDistortion", "Skew")
 MATRIX = "(?:M|K|cameraMatrix)"
 """Begins the key of the matrix of one of a pair of cameras, which a number ends"""
 READERS: Sequence[tuple[str, str, Callable[[TextLines, str], ReadCamera]]] = (

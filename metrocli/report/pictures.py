@@ -11,6 +11,7 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.transforms import Bbox
 
 from metrocli import plots
@@ -102,14 +103,16 @@ def _columns(canvas: Canvas) -> list[tuple[float, float, float]]:
     """
     figure = canvas.figure
     wide, high = (72 * float(side) for side in figure.get_size_inches())
-    whole, boxes = [(0.0, wide, high)], dict[int, list[Bbox]]()
+    whole, held = [(0.0, wide, high)], dict[int, list[Axes]]()
     for axes in figure.axes:
-        spec, box = axes.get_subplotspec(), axes.get_tightbbox()
-        if spec is None or box is None or len(spec.colspan) > 1:
+        spec = axes.get_subplotspec()
+        if spec is None or len(spec.colspan) > 1:
             return whole
         # a scale of colours has a place of its own and stays beside the last column of panels
-        column = spec.colspan.start - (axes.get_axes_locator() is not None)
-        boxes.setdefault(column, []).append(box)
+        held.setdefault(spec.colspan.start - (axes.get_axes_locator() is not None), []).append(axes)
+    if len(held) < 2:
+        return whole
+    boxes = {k: [box for one in column if (box := one.get_tightbbox()) is not None] for k, column in held.items()}
     each = [Bbox.union(boxes[column]) for column in sorted(boxes)]
     if figure.legends or any(one.x1 >= other.x0 for one, other in pairwise(each)):
         return whole
