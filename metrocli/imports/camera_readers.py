@@ -234,8 +234,8 @@ def _of_matlab(lines: TextLines, text: str) -> ReadCamera:
     lengths = {"focalLength": alone or len(focal) == 2, "principalPoint": len(centre) == 2, "imageSize": len(size) == 2}
     must_have(lines, "MATLAB", lengths)
     form, named = PROGRAMS["matlab"].forms[0], lists[4] if lists else ""
-    given = re.findall(r"['\"]\s*(\w+)\s*['\"]|(\w+)\s*=", named)
-    if strange := [name for pair in given for name in pair if name and name not in _OF_MATLAB]:
+    named_values = re.findall(r"['\"]\s*(\w+)\s*['\"]|(\w+)\s*=", named)
+    if strange := [name for pair in named_values for name in pair if name and name not in _OF_MATLAB]:
         raise InputError(
             [lines.fault(f"cameraIntrinsics has no {strange[0]}", None, f"expected {', '.join(_OF_MATLAB)}")]
         )

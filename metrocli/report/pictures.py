@@ -7,18 +7,14 @@ import json
 import math
 import re
 from collections.abc import Iterator, Sequence
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.transforms import Bbox
 
 from metrocli import plots
-from metrocli.plots import control_chart, style
+from metrocli.plots import control_chart, panel_columns, style
 from metrocli.plots.beside import ALONE, Beside
 from metrocli.plots.scene import TILT, TURN, Scene, named
-from metrocli.plots.style import Canvas
 from metrocli.report.html import EMPTY, Html, code, joined, scrolling, tag
 from metrocli.report.pdf import roles, variable
 from metrocli.result import Result
@@ -56,7 +52,7 @@ def _figure(name: str, data: Any) -> Html:
         text = style.svg(canvas)
         label = f"{plots.title_of(name)}. {caption}"
         picture = (
-            _stacked(inline(text, name, label), name, _columns(canvas))
+            _stacked(inline(text, name, label), name, panel_columns.ends(canvas))
             if len(text) <= LARGEST
             else _image(style.png(canvas), caption, b"" if turning else _dark(name, data))
         )
@@ -94,31 +90,6 @@ def inline(text: str, name: str, label: str) -> Html:
     title = tag("title", label)
     opened = f'<svg {size[0] if size else ""} role="img" xmlns:xlink="http://www.w3.org/1999/xlink">{title}'
     return Html(re.sub(r"<svg.*?>", lambda _: opened, svg, count=1, flags=re.DOTALL))
-
-
-def _columns(canvas: Canvas) -> list[tuple[float, float, float]]:
-    """Return left and right end and height [points] of each column of panels of an arranged figure.
-
-    The whole figure if it has one column, or if anything stands over two of them.
-    """
-    figure = canvas.figure
-    wide, high = (72 * float(side) for side in figure.get_size_inches())
-    whole, held = [(0.0, wide, high)], dict[int, list[Axes]]()
-    for axes in figure.axes:
-        spec = axes.get_subplotspec()
-        if spec is None or len(spec.colspan) > 1:
-            return whole
-        # a scale of colours has a place of its own and stays beside the last column of panels
-        held.setdefault(spec.colspan.start - (axes.get_axes_locator() is not None), []).append(axes)
-    if len(held) < 2:
-        return whole
-    boxes = {k: [box for one in column if (box := one.get_tightbbox()) is not None] for k, column in held.items()}
-    each = [Bbox.union(boxes[column]) for column in sorted(boxes)]
-    if figure.legends or any(one.x1 >= other.x0 for one, other in pairwise(each)):
-        return whole
-    point = 72 / figure.dpi
-    cuts = [0.0, *(point * (one.x1 + other.x0) / 2 for one, other in pairwise(each)), wide]
-    return [(*cut, high - point * max(0.0, box.y0 - 4)) for cut, box in zip(pairwise(cuts), each, strict=True)]
 
 
 def _stacked(svg: Html, name: str, columns: Sequence[tuple[float, float, float]]) -> Html:

@@ -102,6 +102,10 @@ PROGRAMS: Mapping[str, Program] = {
 }
 
 
+LENGTHS = "lengths in mm"
+"""Comment of exported files in whose format the poses of several cameras have no unit"""
+
+
 def nearest(
     lens: Mapping[str, float],
     convention: str,
