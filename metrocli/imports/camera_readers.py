@@ -25,7 +25,9 @@ from metrocli.imports.camera_fields import (
     text_after,
 )
 from metrocli.imports.lines import TextLines
-from metrocli.instruments.lenses.forms import PROGRAMS
+from metrocli.imports.splined_camera import splined
+from metrocli.instruments.lenses.forms import PROGRAMS, LensForm
+from metrocli.instruments.lenses.stereographic import StereographicGrid
 
 
 def _of_opencv(lines: TextLines, text: str) -> ReadCamera:
@@ -188,11 +190,17 @@ def _of_mrcal(lines: TextLines, text: str) -> ReadCamera:
     size = listed(text_after(lines, r"'(?:imagersize|dimensions)'\s*:\s*\[([^\]]*)\]", text) or "")
     must_have(lines, "mrcal", {"lensmodel": model, "intrinsics": intrinsics, "imagersize": len(size) == 2})
     model = "LENSMODEL_PINHOLE" if model == "DISTORTION_NONE" else str(model).replace("DISTORTION_", "LENSMODEL_")
-    form = form_of(lines, "mrcal", model)
+    grid = StereographicGrid.named(model)
+    if grid is not None and len(intrinsics) == 4 + 2 * grid.size:
+        return splined(lines, grid, intrinsics, size)
+    form = LensForm(model, (*_CORE, *["du"] * 2 * grid.size)) if grid is not None else form_of(lines, "mrcal", model)
     if len(intrinsics) != len(form.terms):
-        expected = f"expected {len(form.terms)}: {' '.join(form.terms)}"
+        expected = f"expected {len(form.terms)}" + (f": {' '.join(form.terms)}" if grid is None else "")
         raise InputError([lines.fault(f"the model {model} has {len(intrinsics)} intrinsics", None, expected)])
     return camera_of(lines, "mrcal", form, size, dict(zip(form.terms, intrinsics, strict=True)))
+
+
+_CORE = ("fx", "fy", "cx", "cy")
 
 
 def _of_metashape(lines: TextLines, text: str) -> ReadCamera:

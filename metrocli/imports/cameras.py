@@ -15,7 +15,7 @@ from metrocli.imports import Imported, ImportOptions
 from metrocli.imports.camera_fields import ReadCamera, parsed_xml
 from metrocli.imports.camera_readers import MATRIX, READERS
 from metrocli.imports.camera_rigs import CameraPart, is_rigs, poses_of
-from metrocli.imports.lines import TextLines
+from metrocli.imports.lines import NOTE, TextLines
 from metrocli.instruments.lenses.forms import PROGRAMS
 from metrocli.instruments.lenses.lens import UNITS
 
@@ -169,7 +169,15 @@ def _lens(camera: ReadCamera) -> list[str]:
         for name, value in camera.values.items()
         if name in ("f", "fx", "fy", "cx", "cy") or float(value)
     ]
-    return [f"image_size: [{camera.size[0]}, {camera.size[1]}]", f"model: {model}", *values]
+    lines = [*(f"{NOTE}{note}" for note in camera.notes), f"image_size: [{camera.size[0]}, {camera.size[1]}]"]
+    lines += [f"model: {model}", *values]
+    if camera.shape is not None:
+        columns, rows = camera.shape.knots.counts
+        shifts = (
+            f"  {name}: {one}" for name, one in zip(("du", "dv"), camera.shape.coefficients.tolist(), strict=True)
+        )
+        lines += ["shape:", f"  knots: [{columns}, {rows}]", *shifts]
+    return lines
 
 
 def _rig(parts: Mapping[str, CameraPart], placed: Mapping[str, Array]) -> str:

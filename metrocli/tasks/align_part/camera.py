@@ -11,7 +11,7 @@ from metrocli.adjust.model.blocks import Block, Space
 from metrocli.adjust.model.chain import Chain
 from metrocli.adjust.model.groups import Group, joint_prior
 from metrocli.arrays import Array
-from metrocli.effects.links.lens_shape import SHAPE, LensShape
+from metrocli.effects.links.lens_shape import SHAPE, Knots, KnownShape, LensShape
 from metrocli.errors import Fault, InputError
 from metrocli.frozen import dataclass
 from metrocli.geometry import poses
@@ -22,7 +22,14 @@ from metrocli.instruments.lenses.lens import PARAMETERS, focal
 from metrocli.result import Result
 from metrocli.tasks.shared.images.calibrated import DIRECTIONS, SHAPE_COVARIANCE, StatedCamera, stated_cameras
 from metrocli.tasks.shared.images.exposures import Exposures, exposures
-from metrocli.tasks.shared.images.settings import CalibratedLens, CameraFile, CameraOfRig, Extrinsics, OfCameraFile
+from metrocli.tasks.shared.images.settings import (
+    CalibratedLens,
+    CameraFile,
+    CameraOfRig,
+    Extrinsics,
+    OfCameraFile,
+    StatedShape,
+)
 from metrocli.words import in_a_row
 
 _UNNAMED = 'the calibration does not state which images {} take: write `cameras: {{{}: "NAME*.png", ...}}`'
@@ -206,7 +213,9 @@ def camera_of_file(file: CameraFile, more: OfCameraFile) -> CameraModel:
         lens = {key: lens.get(key, 0.0) for key in PARAMETERS if key in lens or key in std}
         entries += [(name, key) for key in (*lens, *(() if cameras else poses.EULER)) if key in std]
         pose = _pose(one.pose) if isinstance(one, CameraOfRig) and one.pose else None
-        cameras.append(StatedCamera(name, lens, one.convention, one.image_size, "" if name else "*", pose))
+        shape = None if one.shape is None else _shape(one.image_size, one.shape)
+        images = "" if name else "*"
+        cameras.append(StatedCamera(name, lens, one.convention, one.image_size, images, pose, shape))
     ordered = [std[key] for _, key in entries]
     exact = (
         f"the camera file of {file.program} states no covariance: it counts as exact; "
@@ -214,7 +223,13 @@ def camera_of_file(file: CameraFile, more: OfCameraFile) -> CameraModel:
     )
     covariance = np.diag(ordered) ** 2 if ordered else None
     warnings = exact if file.program and not ordered else ()
-    return CameraModel(tuple(cameras), _pose(e), tuple(entries), covariance, warnings=warnings)
+    known = cameras[0].shape
+    exactly = None if known is None else np.zeros((known.coefficients.size, 0))
+    return CameraModel(tuple(cameras), _pose(e), tuple(entries), covariance, exactly, warnings)
+
+
+def _shape(size: tuple[int, int], stated: StatedShape) -> KnownShape:
+    return KnownShape(Knots(size, stated.knots), np.array([stated.du, stated.dv]))
 
 
 def _pose(e: Extrinsics) -> Array:

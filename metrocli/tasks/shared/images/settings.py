@@ -215,12 +215,31 @@ _SIZE = ListOf(Whole(minimum=2, maximum=100_000), length=2)
 
 
 @dataclass(frozen=True, kw_only=True)
+class StatedShape:
+    """A smooth shift of image points over the image, on knots: cubic B-splines, row by row."""
+
+    knots: tuple[int, int] = setting(ListOf(Whole(minimum=4, maximum=1000), length=2), "columns and rows of knots")
+    du: tuple[float, ...] = setting(ListOf(Number()), "coefficients of the shift along u [px]")
+    dv: tuple[float, ...] = setting(ListOf(Number()), "coefficients of the shift along v [px]")
+
+    def faults(self) -> Iterable[tuple[str, str]]:
+        """Yield (key, message) for coefficients of another number than the knots."""
+        count = self.knots[0] * self.knots[1]
+        for key, given in (("du", self.du), ("dv", self.dv)):
+            if len(given) != count:
+                yield key, f"{len(given)} coefficients: knots {list(self.knots)} have {count}"
+
+
+@dataclass(frozen=True, kw_only=True)
 class CalibratedLens(LensModel):
     """The lens of a calibrated camera, and the size of its images."""
 
     image_size: tuple[int, int] = setting(_SIZE, "width and height in pixels", default=None)
     pixel_size: float | None = setting(WithUnit("length", positive=True), "side of a pixel", default=None)
     model: str | None = setting(Choice(*MODELS), "opencv, fisheye, backward or division", default=None)
+    shape: StatedShape | None = setting(
+        Section(StatedShape), "what the lens model spline adds to these, of a single camera", default=None
+    )
 
     def faults(self) -> Iterable[tuple[str, str]]:
         """Yield (key, message) for what is missing, and a focal length that is given twice."""
@@ -231,6 +250,8 @@ class CalibratedLens(LensModel):
             yield "", "the focal length is missing: give f, or fx and fy"
         if "f" in given and given & {"fx", "fy"}:
             yield "f", "give either f, or fx and fy"
+        if self.shape is not None and self.convention == "backward":
+            yield "shape", f"the model {self.model or self.convention} has none: opencv and fisheye have"
         yield from self.model_faults(given, "model")
 
 
@@ -261,6 +282,8 @@ class CameraFile(CalibratedLens):
         if self.given() or self.image_size is not None:
             yield "cameras", "with several cameras, lens and image_size stand at each of them"
         for number, (name, camera) in enumerate(self.cameras.items()):
+            if camera.shape is not None:
+                yield f"cameras.{name}.shape", "several cameras have none: each of them alone may"
             if (camera.pose is None) != (number == 0):
                 message = "the first camera has no pose: it is the frame of the others" if number == 0 else ""
                 yield f"cameras.{name}", message or "its pose in the frame of the first is missing"
