@@ -70,11 +70,14 @@ async function checked(path, width, axe) {
   const frame = await opened(width, { src: `file://${path}` }), view = frame.contentWindow, page = frame.contentDocument;
   const fetched = view.performance.getEntriesByType("resource").map((one) => one.name);
   const canvas = page.querySelector("[data-scene] canvas");
-  let turns = null;
+  let turns = null;  // whether the view turns, and hides a kind
   if (canvas) {
     const before = canvas.toDataURL();
     canvas.dispatchEvent(new view.KeyboardEvent("keydown", { key: "ArrowRight" }));
     turns = canvas.toDataURL() !== before;
+    const whole = canvas.toDataURL();
+    page.querySelector("[data-scene] .legend button").click();
+    turns &&= canvas.toDataURL() !== whole;
   }
   for (const one of page.querySelectorAll("details")) one.open = true;
   const beyond = page.documentElement.scrollWidth - page.documentElement.clientWidth, over = overlaps(page);

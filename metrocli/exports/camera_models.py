@@ -13,6 +13,7 @@ import numpy as np
 from metrocli.arrays import Array
 from metrocli.exports.expressed_cameras import ExpressedCamera, expressed
 from metrocli.geometry.rotations import vector_from_rotation
+from metrocli.instruments.lenses.forms import LENGTHS
 from metrocli.result import Result
 from metrocli.units import find_unit
 
@@ -40,7 +41,7 @@ def _of_opencv(camera: ExpressedCamera) -> str:
     lines += stored("distortion_coefficients", 1, len(camera.distortion), camera.distortion)
     if camera.pose is not None:
         turn, shift = camera.from_first
-        lines += [*stored("R", 3, 3, turn.ravel().tolist()), *stored("T", 3, 1, shift.tolist())]
+        lines += [f"# {LENGTHS}", *stored("R", 3, 3, turn.ravel().tolist()), *stored("T", 3, 1, shift.tolist())]
     return "%YAML:1.0\n---\n" + camera.commented(lines)
 
 
@@ -85,7 +86,7 @@ def colmap(result: Result, within: float) -> dict[str, str]:
     if sensors:
         head = "# RIG_ID, NUM_SENSORS, REF_SENSOR_TYPE, REF_SENSOR_ID, SENSORS[] as (SENSOR_TYPE, SENSOR_ID, HAS_POSE, "
         rig = f"1 {len(cameras)} CAMERA 1 {' '.join(sensors)}"
-        files["rigs.txt"] = f"{head}[QW, QX, QY, QZ, TX, TY, TZ])\n{rig}\n"
+        files["rigs.txt"] = f"# {LENGTHS}\n{head}[QW, QX, QY, QZ, TX, TY, TZ])\n{rig}\n"
     return files
 
 

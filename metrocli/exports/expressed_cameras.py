@@ -13,8 +13,10 @@ from metrocli.effects.links.lens_shape import unshifted
 from metrocli.errors import InputError
 from metrocli.frozen import dataclass
 from metrocli.geometry import poses
-from metrocli.instruments.lenses.conventions import Converted, projection_range
+from metrocli.instruments.lenses.conventions import Converted, image_grid, projection_range
 from metrocli.instruments.lenses.forms import PROGRAMS, LensForm, nearest
+from metrocli.instruments.lenses.lens import focal
+from metrocli.instruments.lenses.stereographic import StereographicGrid, flattened
 from metrocli.result import Result
 from metrocli.tasks.shared.images.calibrated import StatedCamera, stated_cameras
 from metrocli.units.people import two_digits
@@ -89,12 +91,49 @@ def _of_program(program: str, stated: StatedCamera, within: float) -> ExpressedC
         form, values = exact, exact.of(lens)
     else:
         fitted = ((tried, nearest(lens, convention, size, tried, base)) for tried in forms)
-        form, fit = _near([(tried, fit) for tried, fit in fitted if fit is not None], program, within)
+        near = [(tried, fit) for tried, fit in fitted if fit is not None]
+        if program == "mrcal" and (shape is not None or not any(fit.largest <= within for _, fit in near)):
+            near += _splined(stated, within)
+        form, fit = _near(near, program, within)
         values, notes = dict(fit.values), (f"{form.title} is the nearest model of {program}: {_difference(fit)}",)
     if convention != "backward" and (fold := projection_range(lens, size, convention == "fisheye")):
         notes += (f"beyond {fold:.0f} px from its principal point the lens folds over and has no direction",)
     shifted = {name: value + pixel * (name in ("cx", "cy")) for name, value in values.items()}
     return ExpressedCamera(form, shifted, size, notes)
+
+
+_COLUMNS = (10, 16, 24, 36, 54, 80, 120)
+"""Knots along x of the splined models of mrcal that are tried"""
+_ENOUGH = 0.1
+"""Share of the largest difference that is allowed, below which no more knots are tried"""
+_DENSE = 201
+"""Points along each axis at which a splined model is fitted"""
+
+
+def _splined(stated: StatedCamera, within: float) -> list[tuple[LensForm, Converted]]:
+    """Return splined models of mrcal with more and more knots; none where the lens has no direction.
+
+    Focal lengths and principal point are those of the lens.
+    """
+    fx, fy = focal(stated.lens)
+    centre, scale = np.array([[stated.lens["cx"]], [stated.lens["cy"]]]), np.array([[fx], [fy]])
+    dense, other = (np.stack(image_grid(stated.size, n)) for n in (_DENSE, _DENSE - 70))
+    at, checked = (flattened(stated.direction(uv)) for uv in (dense, other))
+    if not (np.isfinite(at).all() and np.isfinite(checked).all()):
+        return []
+    reach, found = np.abs(at).max(axis=1), list[tuple[LensForm, Converted]]()
+    for columns in _COLUMNS:
+        grid = StereographicGrid(columns, columns, int(np.ceil(np.degrees(4 * np.arctan(reach[0] / 2)))) + 1)
+        grid = replace(grid, rows=int(np.ceil(2 * reach[1] / grid.step)) + 3)
+        shifts = grid.fitted(at, (dense - centre) / scale - at)
+        gap = np.hypot(*(centre + scale * (checked + grid.shift(checked, shifts)) - other))
+        values = dict(zip(("fx", "fy", "cx", "cy"), (fx, fy, stated.lens["cx"], stated.lens["cy"]), strict=True))
+        values |= {f"du{knot}": value for knot, value in enumerate(shifts.ravel().tolist())}
+        form = LensForm(grid.name, tuple(values), stated.convention == "fisheye")
+        found.append((form, Converted(values, float(np.sqrt((gap**2).mean())), float(gap.max()))))
+        if found[-1][1].largest <= _ENOUGH * within:
+            break
+    return found
 
 
 _AS_NEAR = 1.1

@@ -27,6 +27,8 @@ class ImportFormat:
     """Where its layout is published"""
     takes: str = ""
     """The one of the wishes that it uses: mapping or unit"""
+    several: bool = False
+    """Whether several files belong together"""
 
 
 @dataclass(frozen=True)
@@ -37,6 +39,8 @@ class ImportOptions:
     """Root of the mapping file"""
     unit: str = ""
     """Unit of lengths in a file that does not state it"""
+    others: tuple[TextLines, ...] = ()
+    """Further files of the same format"""
 
 
 FORMATS: dict[str, ImportFormat] = {
@@ -47,11 +51,13 @@ FORMATS: dict[str, ImportFormat] = {
         "mapping",
     ),
     **dict.fromkeys(
-        ("opencv", "ros", "colmap", "kalibr", "mrcal", "metashape", "matlab"),
+        ("opencv", "opencv-yaml", "ros", "colmap", "kalibr", "mrcal", "metashape", "matlab"),
         ImportFormat(
             "metrocli.imports.cameras",
             "camera of another program, as the camera file of align-part",
             "OpenCV, camera_calibration; and the manuals of the other programs",
+            "unit",
+            several=True,
         ),
     ),
     "colmap-model": ImportFormat(
@@ -103,5 +109,7 @@ def imported(name: str, lines: TextLines, wishes: ImportOptions) -> Imported:
     for wish, option in (("mapping", "--map"), ("unit", "--unit")):
         if getattr(wishes, wish) and wish != FORMATS[name].takes:
             raise UsageError(f"--from {name} takes no {option}: leave it out")
+    if wishes.others and not FORMATS[name].several:
+        raise UsageError(f"--from {name} takes one file")
     files: Callable[[TextLines, ImportOptions], Imported] = import_module(FORMATS[name].module).files
     return files(lines, wishes)

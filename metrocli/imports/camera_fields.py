@@ -7,6 +7,7 @@ import re
 from collections.abc import Mapping, Sequence
 from xml.etree import ElementTree
 
+from metrocli.effects.links.lens_shape import KnownShape
 from metrocli.errors import Fault, InputError
 from metrocli.frozen import dataclass
 from metrocli.imports.lines import TextLines, is_number
@@ -21,6 +22,9 @@ class ReadCamera:
     size: tuple[int, int]
     values: Mapping[str, str]
     """As the file has them, but cx and cy from the centre of the first pixel"""
+    shape: KnownShape | None = None
+    """Of a lens that no parameters hold"""
+    notes: tuple[str, ...] = ()
 
 
 def form_of(lines: TextLines, program: str, name: str, count: int | None = None) -> LensForm:

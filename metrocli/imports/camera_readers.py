@@ -25,7 +25,9 @@ from metrocli.imports.camera_fields import (
     text_after,
 )
 from metrocli.imports.lines import TextLines
-from metrocli.instruments.lenses.forms import PROGRAMS
+from metrocli.imports.splined_camera import splined
+from metrocli.instruments.lenses.forms import PROGRAMS, LensForm
+from metrocli.instruments.lenses.stereographic import StereographicGrid
 
 
 def _of_opencv(lines: TextLines, text: str) -> ReadCamera:
@@ -46,7 +48,10 @@ def _of_opencv(lines: TextLines, text: str) -> ReadCamera:
     if fisheye not in (None, "0", "1"):
         raise InputError([lines.fault(f"fisheye_model: {fisheye}", None, "expected 0 or 1")])
     if model is None:
-        if keys.has("camera_name|rectification_matrix|projection_matrix|[RP]"):
+        # R and P are those of ROS too, but OpenCV's storage has R beside T, from the first of two cameras
+        if keys.has("camera_name|rectification_matrix|projection_matrix") or (
+            "opencv" not in text and keys.has("[RP]")
+        ):
             must_have(lines, "ROS", {"distortion_model": model})
         program, form = "opencv", form_of(lines, "opencv", "fisheye" if fisheye == "1" else "opencv", len(shift))
     else:
@@ -185,11 +190,17 @@ def _of_mrcal(lines: TextLines, text: str) -> ReadCamera:
     size = listed(text_after(lines, r"'(?:imagersize|dimensions)'\s*:\s*\[([^\]]*)\]", text) or "")
     must_have(lines, "mrcal", {"lensmodel": model, "intrinsics": intrinsics, "imagersize": len(size) == 2})
     model = "LENSMODEL_PINHOLE" if model == "DISTORTION_NONE" else str(model).replace("DISTORTION_", "LENSMODEL_")
-    form = form_of(lines, "mrcal", model)
+    grid = StereographicGrid.named(model)
+    if grid is not None and len(intrinsics) == 4 + 2 * grid.size:
+        return splined(lines, grid, intrinsics, size)
+    form = LensForm(model, (*_CORE, *["du"] * 2 * grid.size)) if grid is not None else form_of(lines, "mrcal", model)
     if len(intrinsics) != len(form.terms):
-        expected = f"expected {len(form.terms)}: {' '.join(form.terms)}"
+        expected = f"expected {len(form.terms)}" + (f": {' '.join(form.terms)}" if grid is None else "")
         raise InputError([lines.fault(f"the model {model} has {len(intrinsics)} intrinsics", None, expected)])
     return camera_of(lines, "mrcal", form, size, dict(zip(form.terms, intrinsics, strict=True)))
+
+
+_CORE = ("fx", "fy", "cx", "cy")
 
 
 def _of_metashape(lines: TextLines, text: str) -> ReadCamera:
@@ -231,6 +242,11 @@ def _of_matlab(lines: TextLines, text: str) -> ReadCamera:
     lengths = {"focalLength": alone or len(focal) == 2, "principalPoint": len(centre) == 2, "imageSize": len(size) == 2}
     must_have(lines, "MATLAB", lengths)
     form, named = PROGRAMS["matlab"].forms[0], lists[4] if lists else ""
+    named_values = re.findall(r"['\"]\s*(\w+)\s*['\"]|(\w+)\s*=", named)
+    if strange := [name for pair in named_values for name in pair if name and name not in _OF_MATLAB]:
+        raise InputError(
+            [lines.fault(f"cameraIntrinsics has no {strange[0]}", None, f"expected {', '.join(_OF_MATLAB)}")]
+        )
     values = dict(zip(("fx", "fy", "cx", "cy"), [*(focal * 2)[:2], *centre], strict=True))
     for key, names in {"Radial": ("k1", "k2", "k3"), "Tangential": ("p1", "p2")}.items():
         given = text_after(lines, rf"\b{key}Distortion['\"]?\s*[,=]([^\]'\"=]*)", named)
@@ -246,6 +262,7 @@ def _of_matlab(lines: TextLines, text: str) -> ReadCamera:
     return camera_of(lines, "matlab", form, size[::-1], values)
 
 
+_OF_MATLAB = ("RadialDistortion", "TangentialDistortion", "Skew")
 MATRIX = "(?:M|K|cameraMatrix)"
 """Begins the key of the matrix of one of a pair of cameras, which a number ends"""
 READERS: Sequence[tuple[str, str, Callable[[TextLines, str], ReadCamera]]] = (

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import json
 import re
+from collections.abc import Mapping
+from pathlib import Path
 from xml.etree import ElementTree
 
+from metrocli.arrays import Array
 from metrocli.errors import Fault, InputError
+from metrocli.geometry import poses
 from metrocli.imports import Imported, ImportOptions
 from metrocli.imports.camera_fields import ReadCamera, parsed_xml
 from metrocli.imports.camera_readers import MATRIX, READERS
-from metrocli.imports.lines import TextLines
+from metrocli.imports.camera_rigs import CameraPart, is_rigs, poses_of
+from metrocli.imports.lines import NOTE, TextLines
 from metrocli.instruments.lenses.forms import PROGRAMS
 from metrocli.instruments.lenses.lens import UNITS
 
@@ -17,7 +23,7 @@ _FIELD_OF_VIEW = 0.05
 """Focal lengths below this share of the longer side of the image are in mm, or in units of the image"""
 _DECENTRED = 0.2
 """Beyond this p1 and p2 shift a point at 0.2 focal lengths from the centre by more than a tenth of that distance"""
-_ALONE = "# the lens of one of several cameras; their poses to each other, if the file has them, are not taken over\n"
+_ALONE = "# the lens of one of several cameras{}\n"
 _SHIFT = "(?:D|distCoeffs)"
 """Begins the key of the coefficients of one of a pair of cameras, which a number ends"""
 _CENTRE = (0.02, 0.98)
@@ -25,42 +31,65 @@ _CENTRE = (0.02, 0.98)
 
 
 def files(lines: TextLines, wishes: ImportOptions) -> Imported:
-    """Return camera.yaml, or a file for each of several cameras.
+    """Return camera.yaml, or a file for each of several cameras, and rig.yaml if their poses are stated.
 
-    Raises InputError for what the file lacks, and for models that are not known here.
+    Raises InputError for what a file lacks, and for models that are not known here.
     """
-    cameras = _cameras(lines)
-    if not cameras:
-        expected = f"expected a camera of {', '.join(PROGRAMS)}"
-        raise InputError([lines.fault("this is no camera of another program", None, expected)])
-    if len(cameras) == 1:
-        return {"camera.yaml": next(iter(cameras.values()))}
-    return {f"{name}.yaml": _ALONE + text for name, text in cameras.items()}
+    parts, rigs = dict[str, CameraPart](), None
+    for one in (lines, *wishes.others):
+        if is_rigs(one):
+            rigs = one
+            continue
+        read = _cameras(one)
+        if not read:
+            expected = f"expected a camera of {', '.join(PROGRAMS)}"
+            raise InputError([one.fault("this is no camera of another program", None, expected)])
+        if wishes.others and len(read) == 1:
+            read = {Path(one.file).stem: next(iter(read.values()))}
+        if twice := [name for name in read if name in parts]:
+            raise InputError([one.fault(f"another file has the camera {twice[0]} too", None, "name files distinctly")])
+        parts |= read
+    if not parts:
+        raise InputError([lines.fault("this is where cameras are, but none of them", None, "give cameras.txt too")])
+    if len(parts) == 1:
+        return {"camera.yaml": _written(next(iter(parts.values())))}
+    placed = poses_of(parts, rigs, wishes.unit)
+    without = "; their poses to each other, if the files have them, are not taken over: give the unit by --unit"
+    note = _ALONE.format("; rig.yaml has them with their poses" if placed else without)
+    rig = {"rig.yaml": _rig(parts, placed)} if placed else {}
+    return {**{f"{name}.yaml": note + _written(part) for name, part in parts.items()}, **rig}
 
 
 def as_yaml(lines: TextLines) -> str | None:
-    """Return the text of camera.yaml; None for a file that is no camera of another program.
+    """Return the text of camera.yaml or rig.yaml; None for a file that is no camera of another program.
 
-    Raises InputError as `files` does, and for several cameras.
+    Raises InputError as `files` does, and for several cameras whose poses it does not state.
     """
-    cameras = _cameras(lines)
-    if len(cameras) > 1:
-        program = program_of("\n".join(lines.lines))
-        hint = f"`metrocli import {lines.file} --from {program}` writes a file for each: name one of these in the job"
-        raise InputError([lines.fault(f"the file has the cameras {', '.join(cameras)}", None, hint)])
-    return next(iter(cameras.values()), None)
+    parts = _cameras(lines)
+    if len(parts) < 2:
+        return next(map(_written, parts.values()), None)
+    if placed := poses_of(parts, None, ""):
+        return _rig(parts, placed)
+    program = program_of("\n".join(lines.lines))
+    hint = f"`metrocli import {lines.file} --from {program}` writes a file for each: name one of these in the job"
+    raise InputError([lines.fault(f"the file has the cameras {', '.join(parts)}", None, hint)])
 
 
-def _cameras(lines: TextLines) -> dict[str, str]:
-    """Return the cameras of a file as YAML by their names; none if it is no camera of another program."""
+def _cameras(lines: TextLines) -> dict[str, CameraPart]:
+    """Return the cameras of a file by their names; none if it is no camera of another program."""
     # searching a list would take minutes where thousands of empty lines follow each other
     text = re.sub(r"\n(?:[ \t]*\n){3,}", "\n\n", "\n".join(line.rstrip() for line in lines.lines))
     for program, sign, reader in READERS:
         if re.search(sign, text, re.MULTILINE):
-            read = {name: reader(lines, part) for name, part in _parts(lines, program, text).items()}
+            parts = _parts(lines, program, text)
+            read = {name: reader(lines, part) for name, part in parts.items()}
             for camera in read.values():
                 _must_be_plausible(lines, camera)
-            return {name: _written(lines, program, camera) for name, camera in read.items()}
+            paired = range(len(parts)) if len(parts) > 1 else [None]
+            return {
+                name: CameraPart(lines, program, parts[name], read[name], number)
+                for name, number in zip(parts, paired, strict=True)
+            }
     return {}
 
 
@@ -129,15 +158,39 @@ def _sensors(lines: TextLines, text: str) -> dict[str, str]:
     return {name: ElementTree.tostring(each, encoding="unicode") for name, each in found.items()} or {"": text}
 
 
-def _written(lines: TextLines, program: str, camera: ReadCamera) -> str:
+def _written(part: CameraPart) -> str:
+    return "\n".join([f"# from {part.lines.file} (camera)", f"program: {part.program}", *_lens(part.camera), ""])
+
+
+def _lens(camera: ReadCamera) -> list[str]:
     model = "fisheye" if camera.form.fisheye else "opencv"
-    head = [f"# from {lines.file} (camera)", f"program: {program}", f"image_size: [{camera.size[0]}, {camera.size[1]}]"]
     values = [
         f"{name}: {value}{f' {UNITS[name]}' if name in UNITS else ''}"
         for name, value in camera.values.items()
         if name in ("f", "fx", "fy", "cx", "cy") or float(value)
     ]
-    return "\n".join([*head, f"model: {model}", *values, ""])
+    lines = [*(f"{NOTE}{note}" for note in camera.notes), f"image_size: [{camera.size[0]}, {camera.size[1]}]"]
+    lines += [f"model: {model}", *values]
+    if camera.shape is not None:
+        columns, rows = camera.shape.knots.counts
+        shifts = (
+            f"  {name}: {one}" for name, one in zip(("du", "dv"), camera.shape.coefficients.tolist(), strict=True)
+        )
+        lines += ["shape:", f"  knots: [{columns}, {rows}]", *shifts]
+    return lines
+
+
+def _rig(parts: Mapping[str, CameraPart], placed: Mapping[str, Array]) -> str:
+    """Return the text of rig.yaml: each lens, and its pose in the frame of the first."""
+    origin = " and ".join(dict.fromkeys(part.lines.file for part in parts.values()))
+    lines = [f"# from {origin} (cameras)", f"program: {next(iter(parts.values())).program}", "cameras:"]
+    for number, (name, part) in enumerate(parts.items()):
+        lines += [f"  {json.dumps(name)}:", *(f"    {line}" for line in _lens(part.camera))]
+        if number:
+            numbers = zip(poses.EULER, poses.euler_form(placed[name]).tolist(), strict=True)
+            pose = ", ".join(f"{key}: {value!r} {'mm' if key in 'xyz' else 'rad'}" for key, value in numbers)
+            lines.append(f"    pose: {{{pose}}}")
+    return "\n".join([*lines, ""])
 
 
 def _must_be_plausible(lines: TextLines, camera: ReadCamera) -> None:

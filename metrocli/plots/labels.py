@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from matplotlib.axes import Axes
 
@@ -22,10 +24,33 @@ def sides(at: Array, row: int, nearest: int) -> tuple[int, int]:
 
 def name(axes: Axes, text: str, at: Array, row: int, nearest: int, **look: object) -> None:
     """Write the name of a place; a long one is shortened."""
-    right, up = sides(at, row, nearest)
-    if len(text) > _SHORT:
-        right = 1 if 2 * at[row, 0] < at[:, 0].min() + at[:, 0].max() else -1
+    right, up = _side(text, at, row, nearest)
     axes.annotate(
         shortened(text, LETTERS), tuple(at[row]), xytext=(6 * right, 5 * up), textcoords="offset points", fontsize=8,
         ha="left" if right > 0 else "right", va="bottom" if up > 0 else "top", **look,  # type: ignore[arg-type]
     )  # fmt: skip
+
+
+def _side(text: str, at: Array, row: int, nearest: int) -> tuple[int, int]:
+    right, up = sides(at, row, nearest)
+    if len(text) > _SHORT:
+        right = 1 if 2 * at[row, 0] < at[:, 0].min() + at[:, 0].max() else -1
+    return right, up
+
+
+def apart(texts: Sequence[str], at: Array, rows: Sequence[int], nearest: int, width: float) -> list[int]:
+    """Return which of the names of rows have room, those before the others first.
+
+    `width` is that of the figure [points]; the size of letters is that of most of them, since text has a size only
+    when it is drawn.
+    """
+    scale, kept, taken = width / float(np.ptp(at, axis=0).max() or 1.0), list[int](), list[Array]()
+    for k, (text, row) in enumerate(zip(texts, rows, strict=True)):
+        size = np.array([4.9 * min(len(text), LETTERS), 9.5])
+        side = np.array(_side(text, at, row, nearest))
+        middle = scale * at[row] + side * ([6, 5] + size / 2)
+        box = np.array([middle, size])
+        if all((np.abs(middle - other[0]) > (size + other[1]) / 2).any() for other in taken):
+            kept.append(k)
+            taken.append(box)
+    return kept

@@ -21,3 +21,7 @@ class PlottedPoints:
     """(n, 3, 3) mm²"""
     lines: Array | None = None
     """Lines from point to point about each, (n, k, 2, 3) mm: outlines of cameras, beams, steps of a board"""
+    faint: bool = False
+    """Whether only the lines are drawn, thin and below all others: beams of light"""
+    named: tuple[int, ...] | None = None
+    """Rows whose names are drawn where there is room, those that matter most first; without it all of a few"""

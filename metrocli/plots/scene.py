@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import EllipseCollection, LineCollection
+from matplotlib.collections import EllipseCollection
 
 from metrocli.arrays import Array
 from metrocli.frozen import dataclass
@@ -25,6 +28,8 @@ _K = 2.0
 """Half axes of the ellipsoids in standard deviations"""
 _NAMED, _MANY = 12, 100
 """Most places that have names; those above the other have small marks"""
+_WIDE = 360.0
+"""Width or height [points] that the places take in the figure"""
 TURN, TILT = np.radians(-55.0), np.radians(24.0)
 """Direction of view: turn about z, then tilt"""
 
@@ -82,6 +87,18 @@ def _largest(place: PlottedPoints) -> PlottedPoints:
     return PlottedPoints(place.kind, names, place.at[rows], vectors, place.vector_name, covariance, lines)
 
 
+def named(places: Sequence[PlottedPoints]) -> list[tuple[int, int]]:
+    """Return place and row of each name, those that matter most first: one of each place, then the next of each."""
+    each = [
+        place.named if place.named is not None else range(len(place.names) if len(place.names) <= _NAMED else 0)
+        for place in places
+    ]
+    ranked = sorted(
+        (rank, k, row) for k, rows in enumerate(each) for rank, row in enumerate(rows) if not places[k].faint
+    )
+    return [(k, row) for _, k, row in ranked]
+
+
 def view(turn: float = TURN, tilt: float = TILT) -> Array:
     """Return the rows right, up and towards the eye, (3, 3), of a view turned about z and tilted."""
     right = np.array([-np.sin(turn), np.cos(turn), 0.0])
@@ -109,32 +126,48 @@ def height(scene: Scene) -> float:
 def draw(canvas: Canvas, scene: Scene) -> str:
     """Draw the figure and return its caption."""
     axes, theme, rows = canvas.axes()[0], canvas.theme, view()
-    everything, first = scene.all_at @ rows[:2].T, 0
     bare(axes)
     axes.set_xticks([])
     axes.set_yticks([])
     axes.set_aspect("equal")
-    for place, colour, marker in zip(scene.places, theme.cycle, MARKERS, strict=False):
+    shown = [place for place in scene.places if not place.faint]
+    for place in scene.places:
+        if place.faint and place.lines is not None:
+            _draw_lines(axes, place.lines, rows, place.kind, color=theme.muted, lw=0.3, alpha=0.4, zorder=0.5)
+    for place, colour, marker in zip(shown, theme.cycle, MARKERS, strict=False):
         flat = place.at @ rows[:2].T
         _draw_spread(axes, place, flat, scene.ellipsoids, rows, theme.muted)
         if place.lines is not None:
-            drawn = LineCollection(list(place.lines.reshape(-1, 2, 3) @ rows[:2].T), colors=colour, linewidths=0.6)
-            axes.add_collection(drawn)
+            _draw_lines(axes, place.lines, rows, "", color=colour, lw=0.6)
         if place.vectors is not None:
             arrows(axes, flat, place.vectors @ rows[:2].T * scene.vectors, colour, 0.002)
-        few = len(place.names) <= _NAMED
-        size = 6.0 if few else 4.0 if len(place.names) <= _MANY else 2.2
+        size = 6.0 if len(place.names) <= _NAMED else 4.0 if len(place.names) <= _MANY else 2.2
         axes.plot(*flat.T, marker, ms=size, mew=0, color=colour, label=place.kind)
-        if few:
-            for name, row in zip(place.names, range(first, first + len(flat)), strict=True):
-                labels.name(axes, name, everything, row, 1)
-        first += len(flat)
+    _draw_names(axes, scene, rows)
     axes.margins(0.1)
     axes.autoscale_view()
     _draw_scale(axes, scene, rows, theme.ink, theme.muted)
     if len(scene.places) > 1:
         axes.legend(loc="lower left", bbox_to_anchor=(0, 1), ncols=len(scene.places), borderaxespad=0.2)
     return _caption(scene)
+
+
+def _draw_names(axes: Axes, scene: Scene, rows: Array) -> None:
+    """Write the names that `named` lists; where they are many, those that have room."""
+    listed, at = named(scene.places), scene.all_at @ rows[:2].T
+    first = np.cumsum([0, *(len(place.at) for place in scene.places)])
+    texts, numbers = [scene.places[k].names[row] for k, row in listed], [int(first[k]) + row for k, row in listed]
+    chosen = range(len(texts)) if len(texts) <= _NAMED else labels.apart(texts, at, numbers, 1, _WIDE)
+    for k in chosen:
+        labels.name(axes, texts[k], at, numbers[k], 1)
+
+
+def _draw_lines(axes: Axes, lines: Array, rows: Array, label: str, **look: Any) -> None:
+    """Draw lines as one, which has gaps: an image of many is far larger."""
+    ends = lines.reshape(-1, 2, 3)
+    flat = ends[(ends[:, 0] != ends[:, 1]).any(axis=1)] @ rows[:2].T
+    broken = np.concatenate([flat, np.full((len(flat), 1, 2), np.nan)], axis=1).reshape(-1, 2)
+    axes.plot(*broken.T, "-", label=label or "_", **look)
 
 
 def _draw_spread(axes: Axes, place: PlottedPoints, flat: Array, factor: float, rows: Array, colour: str) -> None:
@@ -185,6 +218,8 @@ def _caption(scene: Scene) -> str:
         if place.covariance is not None:
             factor = in_words(scene.ellipsoids)
             parts.append(f"Ellipsoids ({place.kind}): two standard deviations along each axis, magnified {factor}.")
+    if any(place.named is not None and len(place.named) < len(place.names) for place in scene.places):
+        parts.append("Named are the worst image of each camera, the first and the last.")
     if scene.left_out:
         longest = "; the longest vector of each cell stays" if any(x.vectors is not None for x in scene.places) else ""
         parts.append(f"{scene.left_out} points are left out{longest}.")

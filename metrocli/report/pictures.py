@@ -6,15 +6,15 @@ import base64
 import json
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
 
 from metrocli import plots
-from metrocli.plots import control_chart, style
+from metrocli.plots import control_chart, panel_columns, style
 from metrocli.plots.beside import ALONE, Beside
-from metrocli.plots.scene import TILT, TURN, Scene
+from metrocli.plots.scene import TILT, TURN, Scene, named
 from metrocli.report.html import EMPTY, Html, code, joined, scrolling, tag
 from metrocli.report.pdf import roles, variable
 from metrocli.result import Result
@@ -25,7 +25,6 @@ LARGEST = 150_000
 """Characters of an SVG beyond which the figure is an image of pixels"""
 MOST = 1_200_000
 """Characters of all figures of a page; those beyond it are named only"""
-_NAMED = 12
 _PLAIN = re.compile(r"[^A-Za-z0-9]+")
 _ID = re.compile(r'(\bid="|url\(#|href="#)')
 
@@ -53,7 +52,7 @@ def _figure(name: str, data: Any) -> Html:
         text = style.svg(canvas)
         label = f"{plots.title_of(name)}. {caption}"
         picture = (
-            inline(text, name, label)
+            _stacked(inline(text, name, label), name, panel_columns.ends(canvas))
             if len(text) <= LARGEST
             else _image(style.png(canvas), caption, b"" if turning else _dark(name, data))
         )
@@ -93,6 +92,20 @@ def inline(text: str, name: str, label: str) -> Html:
     return Html(re.sub(r"<svg.*?>", lambda _: opened, svg, count=1, flags=re.DOTALL))
 
 
+def _stacked(svg: Html, name: str, columns: Sequence[tuple[float, float, float]]) -> Html:
+    """Return an SVG as one for each of its columns; those without room stand below the others."""
+    if len(columns) == 1:
+        return svg
+    boxes = [
+        f'viewBox="{left:.1f} 0 {right - left:.1f} {height:.1f}" style="flex-grow:{right - left:.0f}"'
+        for left, right, height in columns
+    ]
+    # the first holds the drawing, of which the others show their part
+    again = f'<use xlink:href="#{_PLAIN.sub("-", name)}-figure_1"/>'
+    others = (Html(f'<svg {box} aria-hidden="true">{again}</svg>') for box in boxes[1:])
+    return tag("div", Html(re.sub('viewBox="[^"]*"', boxes[0], svg, count=1)), *others, class_="columns")
+
+
 def _dark(name: str, data: Any) -> bytes:
     """Return a figure as an image for a dark screen."""
     with plots.drawn(name, data, dark=True) as (canvas, _):
@@ -121,18 +134,20 @@ def _turning(scene: Scene) -> dict[str, Any]:
     kinds = []
     for place in scene.places:
         kind: dict[str, Any] = {"kind": place.kind, "at": _rounded(place.at - middle)}
-        if len(place.names) <= _NAMED:
-            kind["names"] = [shortened(name, style.LETTERS) for name in place.names]
+        if place.faint:
+            kind["faint"] = True
         if place.vectors is not None:
             kind["vectors"] = _rounded(place.vectors)
         if place.lines is not None:
-            kind["lines"] = _rounded((place.lines - middle).reshape(-1, 2, 3))
+            ends = (place.lines - middle).reshape(-1, 2, 3)
+            kind["lines"] = _rounded(ends[(ends[:, 0] != ends[:, 1]).any(axis=1)])
         if place.covariance is not None and np.isfinite(place.covariance).all():
             kind["covariance"] = _rounded(4 * place.covariance)
         kinds.append(kind)
     return {
         "turn": float(TURN), "tilt": float(TILT), "size": 2 * reach or 1.0, "kinds": kinds,
         "vectors": scene.vectors, "ellipsoids": scene.ellipsoids,
+        "names": [[k, row, shortened(scene.places[k].names[row], style.LETTERS)] for k, row in named(scene.places)],
     }  # fmt: skip
 
 

@@ -1,5 +1,6 @@
 "use strict";
 // 3-D views: drag or arrow keys turn, wheel or + and - zoom, 0 resets. Parallel projection as in the static figure.
+// Each kind has a button that hides it.
 for (const holder of document.querySelectorAll("[data-scene]")) {
   const scene = JSON.parse(holder.querySelector("script").textContent);
   const still = holder.querySelector("svg, picture, img"), canvas = document.createElement("canvas");
@@ -9,7 +10,24 @@ for (const holder of document.querySelectorAll("[data-scene]")) {
   canvas.setAttribute("role", "img");
   canvas.setAttribute("aria-label", "3-D view; the arrow keys turn it, plus and minus zoom, 0 resets");
   still.classList.add("hidden");
-  still.before(canvas);
+  const legend = document.createElement("div"), hidden = new Set();
+  legend.className = "legend";
+  const solid = scene.kinds.filter((kind) => !kind.faint);
+  const role = (kind) => kind.faint ? "muted" : ["first", "third", "fourth", "second"][solid.indexOf(kind) % 4];
+  for (const kind of scene.kinds) {
+    const button = document.createElement("button"), mark = document.createElement("span");
+    mark.style.background = `var(--${role(kind)})`;
+    button.type = "button";
+    button.append(mark, kind.kind);
+    button.setAttribute("aria-pressed", "true");
+    button.addEventListener("click", () => {
+      hidden.delete(kind) || hidden.add(kind);
+      button.setAttribute("aria-pressed", String(!hidden.has(kind)));
+      draw();
+    });
+    legend.append(button);
+  }
+  still.before(legend, canvas);
   holder.querySelector(".turning").classList.remove("hidden");
   const colour = (role) => getComputedStyle(document.documentElement).getPropertyValue("--" + role).trim();
   const axes = () => {
@@ -22,7 +40,7 @@ for (const holder of document.querySelectorAll("[data-scene]")) {
     // the first view fills the picture, with room for names; a turned one may be longer, so not by far
     const [right, up] = axes(), one = 0.84 * Math.min(wide, high) / scene.size;
     const ends = scene.kinds.flatMap((kind) => kind.at.flatMap((p, i) => [p, tip(kind, i)]));
-    const most = ends.map((p) => Math.max(Math.abs(dot(p, right)) / (wide / 2 - 64), Math.abs(dot(p, up)) / (high / 2 - 48)));
+    const most = ends.map((p) => Math.max(Math.abs(dot(p, right)) / (wide / 2 - Math.min(64, wide / 8)), Math.abs(dot(p, up)) / (high / 2 - 28)));
     return Math.min(1.6, 1 / (one * most.reduce((a, b) => Math.max(a, b), 1e-12)));
   }
   function named(text, at, all, taken) {
@@ -33,7 +51,7 @@ for (const holder of document.querySelectorAll("[data-scene]")) {
       const left = Math.max(2, Math.min(canvas.clientWidth - long - 2, a ? x + 7 : x - 7 - long)), base = y + (b ? 15 : -6);
       if (taken.some(([l, m, w]) => left < l + w && l < left + long && Math.abs(m - base) < 12)) continue;
       taken.push([left, base, long]);
-      pen.fillText(text, left, base);
+      pen.strokeText(text, left, base); pen.fillText(text, left, base);
       return;
     }
   }
@@ -51,22 +69,26 @@ for (const holder of document.querySelectorAll("[data-scene]")) {
     start.zoom ||= view.zoom = roomiest(wide, high);
     const [right, up] = axes(), scale = view.zoom * 0.84 * Math.min(wide, high) / scene.size;
     const flat = (p) => [wide / 2 + scale * dot(p, right), high / 2 - scale * dot(p, up)];
-    const everything = scene.kinds.flatMap((kind) => kind.at.map(flat)), taken = [];
+    const places = scene.kinds.map((kind) => kind.at.map(flat)), everything = places.flat();
+    const shown = scene.kinds.filter((kind) => !hidden.has(kind)), muted = colour("muted");
     pen.font = "12px system-ui, sans-serif";
-    scene.kinds.forEach((kind, k) => {
-      const ink = colour(["first", "third", "fourth", "second"][k % 4]);
+    for (const kind of [...shown.filter((one) => one.faint), ...shown.filter((one) => !one.faint)]) {
+      const ink = colour(role(kind)), count = kind.at.length, size = Math.min(1, wide / 500);
       if (kind.lines) {
-        pen.strokeStyle = ink; pen.lineWidth = 0.7; pen.beginPath();
+        pen.strokeStyle = ink; pen.lineWidth = kind.faint ? 0.5 : 0.7; pen.globalAlpha = kind.faint ? 0.25 : 1;
+        pen.beginPath();
         kind.lines.forEach(([a, b]) => { pen.moveTo(...flat(a)); pen.lineTo(...flat(b)); });
         pen.stroke();
+        pen.globalAlpha = 1;
       }
+      if (kind.faint) continue;
       kind.at.forEach((p, i) => {
         const [x, y] = flat(p);
         if (kind.covariance) {
           const c = kind.covariance[i], by = (a, b) => dot(a, [dot(c[0], b), dot(c[1], b), dot(c[2], b)]);
           const [xx, xy, yy] = [by(right, right), by(right, up), by(up, up)];
           const mean = (xx + yy) / 2, half = Math.hypot((xx - yy) / 2, xy), f = scale * scene.ellipsoids;
-          pen.strokeStyle = colour("muted"); pen.lineWidth = 0.7; pen.beginPath();
+          pen.strokeStyle = muted; pen.lineWidth = 0.7; pen.beginPath();
           pen.ellipse(x, y, f * Math.sqrt(mean + half), f * Math.sqrt(Math.max(mean - half, 0)),
             -Math.atan2(xy, (xx - yy) / 2) / 2, 0, 7);
           pen.stroke();
@@ -75,11 +97,16 @@ for (const holder of document.querySelectorAll("[data-scene]")) {
         if (kind.vectors) {
           line(x, y, ...flat(tip(kind, i)));
         }
-        pen.beginPath(); pen.arc(x, y, kind.names ? 4 : kind.at.length <= 100 ? 3 : 1.8, 0, 7); pen.fill();
-        if (kind.names) { pen.fillStyle = colour("ink"); named(kind.names[i], [x, y], everything, taken); }
+        pen.beginPath(); pen.arc(x, y, size * (count <= 12 ? 4 : count <= 100 ? 3 : 1.8), 0, 7); pen.fill();
       });
-      pen.fillStyle = ink; pen.fillText("● " + kind.kind, 8, 18 + 16 * k);
-    });
+    }
+    // the ground about their letters keeps names readable on lines
+    pen.fillStyle = colour("ink"); pen.strokeStyle = colour("surface"); pen.lineWidth = 3; pen.lineJoin = "round";
+    // the arrows at the lower left keep their room
+    const taken = [0, 1, 2, 3, 4, 5].map((k) => [0, high - 32 - 12 * k, 92]), most = 6 + wide * high / 8000;
+    for (const [k, row, text] of scene.names) {
+      if (taken.length < most && !hidden.has(scene.kinds[k])) named(text, places[k][row], everything, taken);
+    }
     pen.strokeStyle = pen.fillStyle = colour("ink"); pen.lineWidth = 1;
     ["x", "y", "z"].forEach((name, k) => {
       const [x, y] = [46, high - 46], u = x + 34 * right[k], v = y - 34 * up[k];

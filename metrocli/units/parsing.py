@@ -53,7 +53,9 @@ def parse_quantity(text: str, dimension: str) -> float:
     if not math.isfinite(number):
         raise QuantityError(f"'{text}' is too large for a number", f"write e.g. '{wanted.example}'")
     if not match[2]:
-        raise QuantityError(f"{text} has no unit", f"write e.g. '{match[1]} {wanted.example.split(' ', 1)[1]}'")
+        # a bare angle is one of a program that counts in rad or deg, seldom in the unit of the example
+        unit = "rad' or '{} deg" if dimension == "angle" else wanted.example.split(" ", 1)[1]
+        raise QuantityError(f"{text} has no unit", f"write e.g. '{match[1]} {unit.format(match[1])}'")
     return find_unit(match[2], dimension, match[1]).inside(number)
 
 

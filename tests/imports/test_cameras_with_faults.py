@@ -203,3 +203,12 @@ def test_the_command_line_refuses_with_the_line(name: str, tmp_path: Path, metro
     ran = metrocli("import", tmp_path / "their.yaml", "--from", "ros", "--out", tmp_path / "out")
     assert ran.code == 3 and not (tmp_path / "out").exists()
     assert "nonsense" in ran.err or "lacks" in ran.err or "rows" in ran.err, ran.err
+
+
+def test_an_argument_of_matlab_that_is_not_known_is_refused() -> None:
+    assert "cameraIntrinsics has no Skw" in read(texts.MATLAB.replace("'Tangential", "'Skw', 0.5, 'Tangential"))
+
+
+def test_the_turn_of_one_of_two_cameras_of_opencv_is_none_of_ros() -> None:
+    turn = "R: !!opencv-matrix\n   rows: 3\n   cols: 3\n   dt: d\n   data: [ 1., 0., 0., 0., 1., 0., 0., 0., 1. ]\n"
+    assert read(FORMATS["OpenCV"] + turn) == read(FORMATS["OpenCV"])

@@ -385,6 +385,38 @@ def test_cameras_stand_about_the_board() -> None:
     assert "scene" in plots.names_of(result)
 
 
+@pytest.mark.parametrize("count", [5, 200])
+def test_cameras_have_names_and_beams_to_what_they_see(count: int, tmp_path: Path) -> None:
+    """Images in a row at 400 mm from a board of 2 x 3 targets; image 3 is the worst, and image 0 sees one target."""
+    images, targets = [f"i{k:03d}" for k in range(count)], ["r0c0", "r0c1", "r0c2", "r1c0", "r1c1", "r1c2"]
+    at = np.array([[10.0 * c, 10.0 * r, 0.0] for r in range(2) for c in range(3)])
+    pairs = [(image, target) for image in images for target in targets if image != "i000" or target == "r0c1"]
+    place = {"x": -np.arange(count) * 5.0, "y": 0.0, "z": 400.0, "alpha": 0.0, "beta": 0.0, "gamma": 0.0}
+    columns = {
+        "image": images,
+        **{key: np.broadcast_to(value, count) for key, value in place.items()},
+        "rms": np.where(np.arange(count) == 3, 0.4, 0.1),
+    }
+    tables = {
+        "views": Table.of(columns),
+        "targets": Table.of({"target": targets, **dict(zip("xyz", at.T, strict=True))}),
+        "residuals": Table.of({name: np.repeat(texts, 2) for name, texts in zip(("image", "target"), zip(*pairs, strict=True), strict=True)}),
+        "camera": Table.of({"parameter": ["f", "cx", "cy"], "value": np.array([500.0, 319.5, 239.5])}),
+    }  # fmt: skip
+    statistics = {"rig": "board", "convention": "forward", "image_width": 640, "image_height": 480}
+    result = replace(lens(), statistics=statistics, tables=tables)
+    _, cameras, beams = places_of(result)
+    order = [3, 0, count - 1]
+    assert list(cameras.named) == (order if count > 48 else [3, 0, 4, 1, 2])
+    assert beams.faint and (beams.lines[:, :, 0] == cameras.at[:, None]).all()
+    true = [beams.lines[k][(beams.lines[k, :, 0] != beams.lines[k, :, 1]).any(axis=1), 1] for k in range(count)]
+    assert true[0].tolist() == [at[1].tolist()]
+    assert len(true[1]) == (5 if count == 200 else 6) and {*map(tuple, true[1])} <= {*map(tuple, at)}
+    plots.save(result, "scene", tmp_path / "x.svg", ".svg")
+    text = (tmp_path / "x.svg").read_text(encoding="utf-8")
+    assert all(f">{images[k]}<" in text for k in order) and ">beams<" in text
+
+
 def test_many_points_in_space_keep_the_extent_of_the_part() -> None:
     """Of 20 000 points the vectors grow with x: the longest are all at one end, those that stay are everywhere."""
     at = RNG.random((20_000, 3)) * [1000, 500, 200]

@@ -258,7 +258,7 @@ def test_what_comes_from_files_is_escaped() -> None:
     assert len(page.named("script")) == 2 and "<script>alert" not in text
     assert page.text.count("alert('x')") >= 10
     data = json.loads(re.search(r'type="application/json">(.*?)</script>', text, re.DOTALL)[1])  # type: ignore[index]
-    assert data["kinds"][0]["names"][0] == "A</script><…(1)</script>"
+    assert data["names"][0][2] == "A</script><…(1)</script>"
 
 
 def test_the_view_that_turns_has_true_sizes() -> None:
@@ -481,3 +481,31 @@ def test_w_is_relative_to_an_estimated_noise() -> None:
     estimated = {"noise_estimated": True, "noise": 0.1, "sigma0": 0.1, "dof": 700, "chi2": 7.0}
     text = page_of(replace(result, statistics={**result.statistics, **estimated})).text
     assert f"|w| = {w / math.sqrt((700 - w**2) / 699):.2f} standard" in text
+
+
+def test_panels_side_by_side_can_stand_below_each_other() -> None:
+    """Each column of a figure of two cameras is an image of its own, whose parts together are the whole figure."""
+    camera = results.camera(np.random.default_rng(4).random((40, 2)) * [640, 480], np.full((40, 2), 0.03))
+    table = camera.tables["residuals"]
+    images = np.char.add(np.where(np.arange(80) < 40, "a", "b"), table.columns["image"])
+    zeros = {key: [0.0, 0.0] for key in ("x", "y", "z", "alpha", "beta", "gamma")}
+    size = {"image_width": [640, 640], "image_height": [480, 480]}
+    lens = {"camera": ["a"] * 3 + ["b"] * 3, "parameter": ["f", "cx", "cy"] * 2}
+    several = replace(
+        camera,
+        statistics={**camera.statistics, "convention": "forward"},
+        tables={
+            "residuals": Table({**table.columns, "image": images}, table.units),
+            "camera": Table.of({**lens, "value": np.array([500.0, 300, 200, 500, 300, 200])}),
+            "cameras": Table.of({"camera": ["a", "b"], "images": ["a*", "b*"], **size, **zeros}),
+        },
+    )
+    shown = result_page(Content(several, RECORD, "r.h5")).partition('id="figure-residuals-image"')[2]
+    columns = re.search('<div class="columns">(.*?)</div>', shown, re.DOTALL)
+    assert columns is not None
+    (left, wide, _), (start, rest, _) = (
+        tuple(map(float, box)) for box in re.findall(r'<svg viewBox="(\S+) 0 (\S+) (\S+)"', columns[1])
+    )
+    assert left == 0 and start == pytest.approx(wide, abs=0.11) and wide + rest == pytest.approx(460.8, abs=0.11)
+    texts = {text: "u (px)" in text for text in re.findall("<svg.*?</svg>", columns[1], re.DOTALL)}
+    assert list(texts.values()) == [True, False]

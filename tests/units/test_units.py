@@ -29,6 +29,7 @@ RIGHT = [
 REFUSED = [
     ("0,1 mm", "length", "decimal comma", "write '0.1 mm'"), ("5 Mm", "length", "unknown unit", "did you mean 'mm'"),
     ("0.5 kg", "length", "of a mass, not of a length", "allowed"), ("20", "length", "has no unit", "write e.g. '20 mm'"),
+    ("0.02", "angle", "has no unit", "0.02 rad"),
     ("1e-6", "length", "has no unit", "1e-6 mm"), ("nan mm", "length", "not a number", "0.1 mm"), ("inf mm", "length", "not a number", ""),
     ("1e400 mm", "length", "too large", ""), ("umm", "length", "not a number", ""), ("1 umm", "length", "unknown unit", "allowed: mm"),
     ("3 mm + 2 um", "length", "is not one unit", ""), ("25 +/- 0.1 mm", "length", "is not one unit", ""),

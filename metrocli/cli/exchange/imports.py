@@ -23,7 +23,7 @@ _FIRST = 10
 
 
 @click.command("import", help="Write a file of an instrument as CSV that jobs read, and print the paths of the files.")
-@click.argument("file", type=click.Path(path_type=Path), metavar="FILE")
+@click.argument("files", type=click.Path(path_type=Path), metavar="FILE", nargs=-1, required=True)
 @click.option(
     "--from",
     "form",
@@ -45,7 +45,7 @@ _FIRST = 10
 @options.JSON
 @options.QUIET
 def command(
-    file: Path,
+    files: tuple[Path, ...],
     form: str | None,
     out: Path | None,
     mapping: Path | None,
@@ -54,7 +54,7 @@ def command(
     as_json: bool,
     quiet: bool,
 ) -> int:
-    """Write the CSV files of a file into a folder.
+    """Write the CSV files of a file into a folder; of cameras, several files may state one rig.
 
     Raises InputError that lists all faults of the file with their rows, and for files there that metrocli did not write
     unless forced.
@@ -63,7 +63,7 @@ def command(
     from metrocli.formats.own_files import inside, write_all
     from metrocli.project import yaml_text
 
-    root = None
+    root, file = None, files[0]
     if mapping is not None:
         root = yaml_text.parse(yaml_text.read_text(mapping, str(mapping)), str(mapping), mapping.parent)
     lines = TextLines(str(file), _text(file, root).split("\n"))
@@ -78,13 +78,14 @@ def command(
         must_be_read(lines)
         echo(proposed(lines))
         return 0
-    texts = imported(form, lines, ImportOptions(root, unit))
+    others = tuple(TextLines(str(one), _text(one, root).split("\n")) for one in files[1:])
+    texts = imported(form, lines, ImportOptions(root, unit, others))
     folder = file.parent if out is None else out
     for name in texts:
-        if inside(folder, name).resolve() == file.resolve():
-            raise InputError(
-                [Fault(f"would overwrite {file}, the file it reads", str(file), hint="give a folder: --out DIR")]
-            )
+        for one in files:
+            if inside(folder, name).resolve() == one.resolve():
+                hint = "give a folder: --out DIR"
+                raise InputError([Fault(f"would overwrite {one}, the file it reads", str(one), hint=hint)])
     written = list(write_all({inside(folder, name): text.encode() for name, text in texts.items()}, force))
     console = Console(quiet)
     for name, text in texts.items():

@@ -102,6 +102,10 @@ PROGRAMS: Mapping[str, Program] = {
 }
 
 
+LENGTHS = "lengths in mm"
+"""Comment of exported files in whose format the poses of several cameras have no unit"""
+
+
 def nearest(
     lens: Mapping[str, float],
     convention: str,
@@ -114,17 +118,20 @@ def nearest(
     `unshifted` takes image points (2, n) to those of the lens, where it has a shape besides. None where a direction
     that the lens sees has no image in this form.
     """
-    from scipy.optimize import least_squares
-
     uv = np.stack(image_grid(image_size))
     at = unshifted(uv)
     seen = direction(lens, at[0], at[1], convention)
     known = np.isfinite(seen[0])
-    seen, uv = seen[:, known], uv[:, known]
     start = form.of(lens)
     # the coefficients of the other convention mean something else, and may put a fold between start and solution
     if form.fisheye != (convention == "fisheye"):
         start |= {name: 0.0 for name in start if name not in ("f", *_TWO)}
+    return nearest_to(seen[:, known], uv[:, known], form, start) if known.any() else None
+
+
+def nearest_to(seen: Array, uv: Array, form: LensForm, start: Mapping[str, float]) -> Converted | None:
+    """Return the lens of a form that images directions (3, n) nearest to (2, n) px, as `nearest`."""
+    from scipy.optimize import least_squares
 
     def step(values: Array) -> Step:
         block = Block("lens", values[None], form.terms)
@@ -132,7 +139,7 @@ def nearest(
             seen, LinkContext({"lens": block}, Observations(uv, np.ones(1), {}), frozenset({"lens"}))
         )
 
-    if not known.any() or not np.isfinite(step(np.array(list(start.values()))).value).all():
+    if not np.isfinite(step(np.array(list(start.values()))).value).all():
         return None
 
     def gaps(values: Array) -> Array:

@@ -1,12 +1,13 @@
-"""Cameras of a result in space, drawn as pyramids towards the image, and the board that they see, as a grid."""
+"""Cameras of a result in space as pyramids with names, the board that they see as a grid, and beams between them."""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 
 import numpy as np
 
-from metrocli.arrays import Array
+from metrocli.arrays import Array, Index
 from metrocli.geometry import poses
 from metrocli.plots.plotted_points import PlottedPoints
 from metrocli.result import Result
@@ -16,10 +17,16 @@ from metrocli.tasks.shared.images.exposures import exposures
 
 _DEPTH = 0.07
 """Height of a pyramid, as a share of the extent of all cameras and targets"""
+_ROOMY = 40
+"""Images from which on pyramids become smaller with the distance of the images"""
 _MOST = 300
 """Images beyond which cameras are points only"""
 _NAMED = 3
 """Cameras up to which each has a colour and its name"""
+_LABELLED = 48
+"""Images up to which each has its name; of more, the worst, the first and the last of each camera"""
+_BEAMS = 1000
+"""Most beams; of more, each image has the same number, at equal steps of its targets"""
 _ON_GRID = re.compile(r"r(\d+)c(\d+)")
 """Name of a target of a board"""
 
@@ -38,15 +45,61 @@ def cameras_of(result: Result) -> list[PlottedPoints]:
     of = np.arange(len(images)) if rig == "cmm" else np.zeros(len(images), dtype=np.intp)
     if len(cameras) > 1 and rig != "cmm":
         of = exposures({one.name: one.images for one in cameras}, images).camera
+    size *= min(1.0, (_ROOMY / len(images)) ** (1 / 3))
     lines = _pyramids(placed, np.stack([_corners(one) for one in cameras])[of] * size)
     each = [(one.name, of == k) for k, one in enumerate(cameras)] if 1 < len(cameras) <= _NAMED else []
-    return [
-        *board,
-        *(
-            PlottedPoints(name, tuple(np.array(images)[own]), placed[own, :3], lines=lines[own])
-            for name, own in each or [("cameras", of >= 0)]
-        ),
-    ]
+    worst = np.zeros(len(images)) if rig == "cmm" else _rms(result, images)
+    few = len(images) <= _LABELLED
+    drawn = [
+        PlottedPoints(
+            name, tuple(np.array(images)[own]), placed[own, :3], lines=lines[own],
+            named=_named(of[own], worst[own], few),
+        )
+        for name, own in each or [("cameras", of >= 0)]
+    ]  # fmt: skip
+    beams = _beams(result, images, placed[:, :3], cameras if rig == "cmm" else ())
+    return [*board, *drawn, *beams]
+
+
+def _rms(result: Result, images: list[str]) -> Array:
+    """Return the root mean square of the residuals of each image, 0 where it is not known."""
+    views = result.tables["views"]
+    known = dict(zip(views.texts("image"), views.numbers("rms").tolist(), strict=True)) if "rms" in views else {}
+    return np.asarray(np.nan_to_num([known.get(image, 0.0) for image in images]))
+
+
+def _named(of: Index, worst: Array, few: bool) -> tuple[int, ...]:
+    """Return the rows with names: of each camera the worst image, the first and the last; then all, if they are few."""
+    each = [np.flatnonzero(of == k) for k in np.unique(of)]
+    rows = [int(row) for own in each for row in (own[np.argmax(worst[own])], own[0], own[-1])]
+    return tuple(dict.fromkeys([*rows, *(range(len(of)) if few else ())]))
+
+
+def _beams(result: Result, images: list[str], eyes: Array, standing: Sequence[StatedCamera]) -> list[PlottedPoints]:
+    """Return lines from each image to the targets that it shows; `standing` are the cameras that have many images."""
+    targets, residuals = result.tables.get("targets"), result.tables.get("residuals", Table({}))
+    if targets is None or not set("xyz") <= set(targets) or not {"image", "target"} <= set(residuals):
+        return []
+    at, row_of = targets.stacked("xyz"), {name: row for row, name in enumerate(targets.texts("target"))}
+    pairs = list(dict.fromkeys(zip(residuals.texts("image"), residuals.texts("target"), strict=True)))
+    eye_of = {image: k for k, image in enumerate(images)}
+    if standing:
+        names = list(dict.fromkeys(image for image, _ in pairs))
+        of = exposures({one.name: one.images for one in standing}, names).camera.tolist()
+        eye_of = dict(zip(names, of, strict=True))
+    known = [(eye_of[image], row_of[target]) for image, target in pairs if image in eye_of and target in row_of]
+    if not known:
+        return []
+    rows = np.array(known)
+    seen = [rows[rows[:, 0] == k, 1] for k in range(len(images))]
+    most = min(max(map(len, seen)), max(1, _BEAMS // len(images)))
+    start = np.repeat(eyes[:, None], most, axis=1)
+    # an image of fewer targets has beams that end where they begin
+    ends = start.copy()
+    for k, own in enumerate(seen):
+        chosen = np.unique(np.linspace(0, len(own) - 1, min(most, len(own))).astype(np.intp))
+        ends[k, : len(chosen)] = at[own[chosen]]
+    return [PlottedPoints("beams", tuple(images), eyes, lines=np.stack([start, ends], axis=2), faint=True)]
 
 
 def _of_views(result: Result) -> tuple[list[str], Array]:

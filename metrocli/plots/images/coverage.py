@@ -51,7 +51,7 @@ def height(shown: tuple[ImageCoverage, ...]) -> float:
 def draw(canvas: Canvas, shown: tuple[ImageCoverage, ...]) -> str:
     """Draw the figure and return its caption."""
     for axes, coverage in zip(canvas.images([one.camera for one in shown]), shown, strict=True):
-        _draw(axes, coverage, canvas, 7 if len(shown) == 1 and coverage.counts.max() < 1000 else 5)
+        _draw(axes, coverage, canvas, 7 if len(shown) == 1 and coverage.counts.max() < 1000 else 5.6)
     filled = " and ".join(f"{100 * one.filled:.0f} %" for one in shown)
     beyond = " The lens is extrapolated where there are no readings." if min(one.filled for one in shown) < 1 else ""
     return (
@@ -60,7 +60,7 @@ def draw(canvas: Canvas, shown: tuple[ImageCoverage, ...]) -> str:
     )
 
 
-def _draw(axes: Axes, coverage: ImageCoverage, canvas: Canvas, size: int) -> None:
+def _draw(axes: Axes, coverage: ImageCoverage, canvas: Canvas, size: float) -> None:
     axes.grid(False)
     shown = np.ma.masked_equal(coverage.counts, 0)
     drawn = axes.pcolormesh(coverage.x_edges, coverage.y_edges, shown, cmap=SIZES, vmin=0)

@@ -11,18 +11,25 @@ from metrocli.adjust.model.blocks import Block, Space
 from metrocli.adjust.model.chain import Chain
 from metrocli.adjust.model.groups import Group, joint_prior
 from metrocli.arrays import Array
-from metrocli.effects.links.lens_shape import SHAPE, LensShape
+from metrocli.effects.links.lens_shape import SHAPE, Knots, KnownShape, LensShape
 from metrocli.errors import Fault, InputError
 from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.imageset import ImageSet
 from metrocli.instruments import spindle_camera as spindle
 from metrocli.instruments.camera import LENS, MOUNT, TAPER, mount_block
-from metrocli.instruments.lenses.lens import PARAMETERS
+from metrocli.instruments.lenses.lens import PARAMETERS, focal
 from metrocli.result import Result
 from metrocli.tasks.shared.images.calibrated import DIRECTIONS, SHAPE_COVARIANCE, StatedCamera, stated_cameras
 from metrocli.tasks.shared.images.exposures import Exposures, exposures
-from metrocli.tasks.shared.images.settings import CameraFile, OfCameraFile
+from metrocli.tasks.shared.images.settings import (
+    CalibratedLens,
+    CameraFile,
+    CameraOfRig,
+    Extrinsics,
+    OfCameraFile,
+    StatedShape,
+)
 from metrocli.words import in_a_row
 
 _UNNAMED = 'the calibration does not state which images {} take: write `cameras: {{{}: "NAME*.png", ...}}`'
@@ -115,9 +122,15 @@ class CameraModel:
         made = [
             Block(LENS, values, columns, self.names, free, noun="camera"),
             Block(TAPER, self.taper[None], poses.COLUMNS, free=placed, space=Space.POSE),
-            *([mount_block(self.mounts, self.names, np.inf)] if self.several else []),
+            *([self._mounts()] if self.several else []),
         ]
         return {block.name: block for block in (*made, *self._shape_block())}
+
+    def _mounts(self) -> Block:
+        """Return the block of the poses of several cameras, fixed if they are given without uncertainty."""
+        block = mount_block(self.mounts, self.names, np.inf)
+        known = np.array([[(name, key) in self.entries for key in poses.EULER] for name in self.names])
+        return replace(block, free=block.free & known)
 
     def _shape_block(self) -> list[Block]:
         """Return the block of the shape of a lens: the shift that is known, once, and what is not known of it."""
@@ -183,27 +196,44 @@ def camera_of_file(file: CameraFile, more: OfCameraFile) -> CameraModel:
             "the camera file has no extrinsics, the pose of the camera in the taper: "
             "e.g. camera: {extrinsics: {x: -2.1 mm, y: .., z: .., alpha: -0.003 rad, ..}}"
         )
-    width, height = file.image_size
-    given = {"cx": (width - 1) / 2, "cy": (height - 1) / 2, **file.given()}
-    lens = {name: given[name] for name in PARAMETERS if name in given}
     std = {name: value for name, value in vars(more.uncertainty).items() if value} if more.uncertainty else {}
-    if strange := [name for name in std if name in ("f", "fx", "fy") and name not in lens]:
-        raise InputError(f"camera: uncertainty: the camera file has no {' '.join(strange)}")
-    taper = poses.pose_from_euler(np.array([e.x, e.y, e.z]), np.array([e.alpha, e.beta, e.gamma]))
-    of_lens = {name: value for name, value in std.items() if name in PARAMETERS}
-    lens = {name: lens.get(name, 0.0) for name in PARAMETERS if name in lens or name in of_lens}
-    ordered = [*(std[name] for name in lens if name in std), *(std[name] for name in poses.EULER if name in std)]
+    cameras, entries = list[StatedCamera](), list[tuple[str, str]]()
+    each: Mapping[str, CalibratedLens] = file.cameras or {"": file}
+    # the lenses of several cameras share their parameters
+    apart = any(one.fx is not None for one in each.values())
+    for name, one in each.items():
+        width, height = one.image_size
+        given = {"cx": (width - 1) / 2, "cy": (height - 1) / 2, **one.given()}
+        if apart and "f" in given:
+            given["fx"], given["fy"] = focal(given)
+            del given["f"]
+        lens = {key: given[key] for key in PARAMETERS if key in given}
+        if strange := [key for key in std if key in ("f", "fx", "fy") and key not in lens]:
+            raise InputError(f"camera: uncertainty: the camera file has no {' '.join(strange)}")
+        lens = {key: lens.get(key, 0.0) for key in PARAMETERS if key in lens or key in std}
+        entries += [(name, key) for key in (*lens, *(() if cameras else poses.EULER)) if key in std]
+        pose = _pose(one.pose) if isinstance(one, CameraOfRig) and one.pose else None
+        shape = None if one.shape is None else _shape(one.image_size, one.shape)
+        images = "" if name else "*"
+        cameras.append(StatedCamera(name, lens, one.convention, one.image_size, images, pose, shape))
+    ordered = [std[key] for _, key in entries]
     exact = (
         f"the camera file of {file.program} states no covariance: it counts as exact; "
         "camera: {uncertainty: {f: 1 px, ...}} gives its standard uncertainties",
     )
-    return CameraModel(
-        (StatedCamera("", lens, file.convention, file.image_size),),
-        taper,
-        tuple(("", name) for name in (*lens, *poses.EULER) if name in std),
-        np.diag(ordered) ** 2 if ordered else None,
-        warnings=exact if file.program and not ordered else (),
-    )
+    covariance = np.diag(ordered) ** 2 if ordered else None
+    warnings = exact if file.program and not ordered else ()
+    known = cameras[0].shape
+    exactly = None if known is None else np.zeros((known.coefficients.size, 0))
+    return CameraModel(tuple(cameras), _pose(e), tuple(entries), covariance, exactly, warnings)
+
+
+def _shape(size: tuple[int, int], stated: StatedShape) -> KnownShape:
+    return KnownShape(Knots(size, stated.knots), np.array([stated.du, stated.dv]))
+
+
+def _pose(e: Extrinsics) -> Array:
+    return poses.pose_from_euler(np.array([e.x, e.y, e.z]), np.array([e.alpha, e.beta, e.gamma]))
 
 
 def camera_of_result(result: Result) -> CameraModel:

@@ -118,7 +118,7 @@ def _rows(problem: AlignmentProblem, adjusted: AdjustedImages) -> Iterator[Hidde
         "a target of known place in the machine",
     )
     if not blocks[LENS].free.any():
-        lens, group = blocks[LENS].named(), adjusted.group
+        lens, group = blocks[LENS].named(blocks[LENS].members[0]), adjusted.group
         depth = group.chain.until(Quantity.POINT_IN_CAMERA).predict(blocks, group.observations)[2]
         yield Hidden(
             "cx and cy of the camera file, taken as exact, or its image_size (the part across the view)",

@@ -11,7 +11,7 @@ from metrocli.geometry.poses import EULER
 from metrocli.instruments.lenses.distortion import DISTORTION, OF_FISHEYE, RATIONAL, TILT
 from metrocli.instruments.lenses.forms import PROGRAMS
 from metrocli.instruments.lenses.lens import PARAMETERS, UNITS
-from metrocli.settings import Choice, ListOf, Number, Section, Whole, WithUnit, setting
+from metrocli.settings import Choice, ListOf, MapOf, Number, Section, Whole, WithUnit, setting
 from metrocli.targets.pattern import GRIDS, Pattern
 from metrocli.tasks.shared.figures import POSE
 
@@ -211,23 +211,79 @@ CAMERA_FILES = (".txt", ".xml", ".cameramodel", ".m")
 """Endings of camera files of other programs that are no YAML"""
 
 
-@dataclass(frozen=True, kw_only=True)
-class CameraFile(LensModel):
-    """A calibrated camera written by hand or by another program."""
+_SIZE = ListOf(Whole(minimum=2, maximum=100_000), length=2)
 
-    image_size: tuple[int, int] = setting(
-        ListOf(Whole(minimum=2, maximum=100_000), length=2), "width and height in pixels"
-    )
-    pixel_size: float | None = setting(WithUnit("length", positive=True), "side of a pixel", default=None)
-    model: str | None = setting(Choice(*MODELS), "opencv, fisheye, backward or division", default=None)
-    program: str | None = setting(Choice(*PROGRAMS), "the program whose file this was", default=None)
-    extrinsics: Extrinsics | None = setting(Section(Extrinsics), "the camera in the taper", default=None)
+
+@dataclass(frozen=True, kw_only=True)
+class StatedShape:
+    """A smooth shift of image points over the image, on knots: cubic B-splines, row by row."""
+
+    knots: tuple[int, int] = setting(ListOf(Whole(minimum=4, maximum=1000), length=2), "columns and rows of knots")
+    du: tuple[float, ...] = setting(ListOf(Number()), "coefficients of the shift along u [px]")
+    dv: tuple[float, ...] = setting(ListOf(Number()), "coefficients of the shift along v [px]")
 
     def faults(self) -> Iterable[tuple[str, str]]:
-        """Yield (key, message) for a focal length that is missing or given twice."""
+        """Yield (key, message) for coefficients of another number than the knots."""
+        count = self.knots[0] * self.knots[1]
+        for key, given in (("du", self.du), ("dv", self.dv)):
+            if len(given) != count:
+                yield key, f"{len(given)} coefficients: knots {list(self.knots)} have {count}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class CalibratedLens(LensModel):
+    """The lens of a calibrated camera, and the size of its images."""
+
+    image_size: tuple[int, int] = setting(_SIZE, "width and height in pixels", default=None)
+    pixel_size: float | None = setting(WithUnit("length", positive=True), "side of a pixel", default=None)
+    model: str | None = setting(Choice(*MODELS), "opencv, fisheye, backward or division", default=None)
+    shape: StatedShape | None = setting(
+        Section(StatedShape), "what the lens model spline adds to these, of a single camera", default=None
+    )
+
+    def faults(self) -> Iterable[tuple[str, str]]:
+        """Yield (key, message) for what is missing, and a focal length that is given twice."""
+        if self.image_size is None:
+            yield "", "the key 'image_size' is missing: width and height in pixels"
         given = set(self.given())
         if not ("f" in given or {"fx", "fy"} <= given):
             yield "", "the focal length is missing: give f, or fx and fy"
         if "f" in given and given & {"fx", "fy"}:
             yield "f", "give either f, or fx and fy"
+        if self.shape is not None and self.convention == "backward":
+            yield "shape", f"the model {self.model or self.convention} has none: opencv and fisheye have"
         yield from self.model_faults(given, "model")
+
+
+@dataclass(frozen=True, kw_only=True)
+class CameraOfRig(CalibratedLens):
+    """One of several calibrated cameras that are fixed to each other."""
+
+    pose: Extrinsics | None = setting(
+        Section(Extrinsics), "the camera in the frame of the first; of the first itself none", default=None
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class CameraFile(CalibratedLens):
+    """A calibrated camera, or several that are fixed to each other, written by hand or by another program."""
+
+    program: str | None = setting(Choice(*PROGRAMS), "the program whose file this was", default=None)
+    extrinsics: Extrinsics | None = setting(Section(Extrinsics), "the camera, or the first, in the taper", default=None)
+    cameras: dict[str, CameraOfRig] | None = setting(
+        MapOf(Section(CameraOfRig)), "several cameras by name, the first without a pose", default=None
+    )
+
+    def faults(self) -> Iterable[tuple[str, str]]:
+        """Yield (key, message) for faults of a single camera, or for poses of several that are missing."""
+        if self.cameras is None:
+            yield from super().faults()
+            return
+        if self.given() or self.image_size is not None:
+            yield "cameras", "with several cameras, lens and image_size stand at each of them"
+        for number, (name, camera) in enumerate(self.cameras.items()):
+            if camera.shape is not None:
+                yield f"cameras.{name}.shape", "several cameras have none: each of them alone may"
+            if (camera.pose is None) != (number == 0):
+                message = "the first camera has no pose: it is the frame of the others" if number == 0 else ""
+                yield f"cameras.{name}", message or "its pose in the frame of the first is missing"
