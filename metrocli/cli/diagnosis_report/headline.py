@@ -14,7 +14,7 @@ from metrocli.diagnosis.linear.projection import READING
 from metrocli.diagnosis.noise import AS_OTHERS, DECLARED_SIGMA, VarianceGroup
 from metrocli.words import listed
 
-_SHOWN = 6
+_SHOWN, _MOST_GROUPS = 6, 2
 LEAST_REDUCTION = 0.005
 """Least share of the held-out errors that is shown as a change"""
 
@@ -26,7 +26,9 @@ def headline(diagnosis: Diagnosis) -> str:
     not_told = diagnosis.quick or diagnosis.job.noise_model or ESTIMATED in diagnosis.job.declared
     as_declared = noise.as_declared or not_told
     limits = [] if as_declared else [f"the noise is {_times(noise.ratio)} times what was declared"]
-    limits += [noisier(unit) for unit in diagnosis.variance_groups if unit.key != DECLARED_SIGMA]
+    groups = [noisier(unit) for unit in diagnosis.variance_groups if unit.key != DECLARED_SIGMA]
+    several = f"{len(groups)} groups of readings are noisier or quieter than the others (below)"
+    limits += groups if len(groups) <= _MOST_GROUPS else [several]
     if diagnosis.left is None and diagnosis.job.noise_model != STRUCTURED:
         limits += [
             f"an {smooth(error)} is not in the uncertainties of the result" for error in diagnosis.correlated_errors
