@@ -15,8 +15,8 @@ SOURCE = Path(__file__).parents[3] / "shared" / "data" / "aicon-network"
 SIZE, PIXEL, RADIUS = (8688, 5792), 35.968 / 8688, 13.488
 PLANTED = {"axis-skew": 1, "aspect-ratio": 1, "thin-prism": 2}
 """Effects that are planted, with the number of their parameters"""
-LEFT_OUT = {"decentring-distortion": ("p1", "p2"), "axis-skew": ("skew",), "aspect-ratio": ("aspect",)}
-"""Ingredients of the published camera: each is more than a hundred of its standard deviations"""
+LEFT_OUT = {"decentring-distortion": ("p1", "p2")}
+"""Ingredient of the published camera: fifty of its standard deviations. Skew and aspect ratio have none there"""
 _FOCAL, _SKEW, _ASPECT = 28.78507 / PIXEL, 3.08e-5, -6.9e-5
 """As published; skew and aspect ratio are held there too"""
 _JOB = """metrocli: 1
