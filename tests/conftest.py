@@ -63,6 +63,18 @@ def job(tmp_path: Path, straight_line: str, monkeypatch: pytest.MonkeyPatch) -> 
     return Path("line.yaml")
 
 
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark the cases of a test that are `alike` as slow, but for the first that is quick."""
+    begun = set[str]()
+    for item in items:
+        name = item.nodeid.partition("[")[0]
+        if item.get_closest_marker("alike") and not item.get_closest_marker("slow"):
+            if name in begun:
+                item.add_marker("slow")
+            begun.add(name)
+
+
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_call(item: pytest.Item) -> Iterator[None]:
     """Note the CPU seconds of a test beside its outcome."""

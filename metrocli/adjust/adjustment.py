@@ -63,11 +63,13 @@ def adjust(
         few = lost.observations < unknowns - len(datum.names if datum else ())
         return replace(lost, outcome=Outcome.TOO_FEW) if few else lost
     outcome = Outcome.ITERATION_LIMIT if control.limit else Outcome.CONVERGED
-    iterations = 0
+    iterations, small = 0, control.tolerance**2 * max(unknowns, 1)
     while iterations < control.limit and outcome is Outcome.ITERATION_LIMIT:
         take()
         iterations += 1
-        outcome = descent.step(control.tolerance**2 * max(unknowns, 1), iterations == control.limit)
+        outcome = descent.step(small, iterations == control.limit)
+    if datum is not None and control.covariance and iterations and outcome is Outcome.CONVERGED:
+        outcome = descent.restore_datum(small)
     solution = replace(lost, outcome=outcome, blocks=descent.state, cost=descent.cost, iterations=iterations)
     return _with_covariance(solution, problem, descent.here()) if control.covariance else solution
 

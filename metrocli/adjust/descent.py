@@ -29,6 +29,8 @@ _LAST_DIGITS = 4 * float(np.finfo(float).eps)
 """Relative rounding error of a predicted reading"""
 _NEAR, _FAR_BELOW = 1e3, 1e-2
 """The last step is one shorter than `_NEAR` tolerances after which a step below `_FAR_BELOW` tolerances is expected"""
+_RESTORED, _IN_DATUM = 20, 1e-7
+"""Rounds that bring values into the datum at most, and how far they may be off it, in the extent of its members"""
 _NOTHING = 1e-10
 """Share of the diagonal of the normal matrix below which its reduction leaves nothing"""
 _DAMPING_START, _DAMPING_END, _DAMPING_LIMIT = 1e-9, 1e-11, 1e8
@@ -111,6 +113,36 @@ class Descent:
                 return Outcome.CONVERGED
             self._damp()
         return Outcome.DIVERGED
+
+    def restore_datum(self, small: float) -> Outcome:
+        """Bring the values at the end of the steps into the datum, where these have left it; return the outcome.
+
+        A damped step leaves no movement open, so nothing holds the values in the datum meanwhile. What is far off it
+        is brought back to first order; steps that follow adjust the readings again.
+        """
+        for _ in range(_RESTORED):
+            normals = self.here()
+            try:
+                frame = self.problem.frame(self.state, normals.reduced()[0], normals.diagonal)
+            except np.linalg.LinAlgError:  # what is undetermined is named where the covariance is computed
+                break
+            if frame is None:
+                break
+            shifts = frame.steps(self.state, self.state[frame.datum.block].values)
+            block = self.state[frame.datum.block]
+            if np.abs(shifts[block.name]).max() <= _IN_DATUM * max(np.ptp(block.values, axis=0).max(), 1e-300):
+                break
+            self.state |= {name: self.state[name].moved(shift) for name, shift in shifts.items()}
+            self.normals, self.damping, self.fall = None, 0.0, 0.0
+            self.cost = self.here().cost
+            outcome = Outcome.ITERATION_LIMIT
+            for _ in range(_RESTORED):
+                outcome = self.step(small, final=False)
+                if outcome is not Outcome.ITERATION_LIMIT:
+                    break
+            if outcome is not Outcome.CONVERGED:
+                return outcome
+        return Outcome.CONVERGED
 
     def _stands(self, moved: Mapping[str, Block], fall: float, small: float) -> bool:
         """Return whether a step is rounding, in the sum of squares and in the values, as where a solution is the start.

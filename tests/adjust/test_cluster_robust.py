@@ -188,6 +188,7 @@ def test_the_expected_errors_are_the_most_likely(both: tuple[ClusterRobust, Plai
     assert least <= plain.misfit(Excess()) + 1e-9
 
 
+@pytest.mark.alike
 def test_degrees_of_freedom_are_those_of_the_quadratic_form(both: tuple[ClusterRobust, Plain]) -> None:
     found, plain = both
     names = [name for name, *_ in plain.places]

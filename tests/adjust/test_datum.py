@@ -14,7 +14,7 @@ from metrocli.adjust.adjustment import StoppingRule, adjust, covariance_at
 from metrocli.adjust.model.groups import prior
 from metrocli.adjust.outcome import Outcome
 from metrocli.adjust.solution import Solution, residuals_of
-from metrocli.geometry.rotations import rotation_from_vector
+from metrocli.geometry.rotations import rotation_from_vector, vector_from_rotation
 from metrocli.instruments import camera
 
 ALL = np.ones(len(CUBE))
@@ -56,6 +56,23 @@ def test_seven_conditions_and_none_too_many(free: tuple[Problem, Solution]) -> N
     assert solution.dof == readings - (7 + 5 * 6 + len(CUBE) * 3) + 7
     assert 0.8 < solution.sigma0 < 1.2
     assert residuals_of(solution, problem.groups[0]).redundancy.sum() == pytest.approx(solution.dof, rel=1e-6)
+
+
+def test_a_solution_in_another_frame_is_brought_into_the_datum(free: tuple[Problem, Solution]) -> None:
+    """Its readings fit already, so no step is needed for them: the datum is a tenth, 17 degrees and 5 mm away."""
+    problem, solution = free
+    blocks, turn = dict(solution.blocks), rotation_from_vector(np.array([0.1, 0.2, -0.2]))
+    for name in (camera.TARGET, camera.VIEW):
+        values = blocks[name].values.copy()
+        values[:, :3] = 1.1 * values[:, :3] @ turn.T + [5.0, -3.0, 2.0]
+        values[:, 3:] = vector_from_rotation(turn @ rotation_from_vector(values[:, 3:])) if name == camera.VIEW else 0.0
+        blocks[name] = blocks[name].with_values(values)
+    datum = camera.network_datum(problem.blocks[camera.TARGET], ALL)
+    moved = adjust(blocks.values(), problem.groups, datum)
+    assert moved.outcome is Outcome.CONVERGED
+    assert moved.cost == pytest.approx(solution.cost, rel=1e-9)
+    for name in (camera.TARGET, camera.VIEW, camera.LENS):
+        assert moved.blocks[name].values == pytest.approx(solution.blocks[name].values, rel=1e-6, abs=1e-5), name
 
 
 def test_the_condition_holds(free: tuple[Problem, Solution]) -> None:
@@ -104,6 +121,7 @@ def test_residuals_do_not_see_the_frame(
     assert np.abs(g.T @ gap.ravel() / np.linalg.norm(g, axis=0)).max() < 1e-5
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize("bars", [0, 4], ids=["no bar", "bars"])
 @pytest.mark.parametrize("members", [list(range(24)), OTHER], ids=["all", "some"])
 def test_covariance_is_the_dense_one_in_the_frame(

@@ -40,6 +40,7 @@ def apart(found: Array, expected: Array) -> float:
     return float(np.abs((found - expected) / unit[:, None] / unit).max())
 
 
+@pytest.mark.alike
 @MAKES
 def test_values_are_those_of_the_dense_solution(make: str) -> None:
     """From there a plain step of all unknowns goes nowhere."""

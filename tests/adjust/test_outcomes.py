@@ -187,6 +187,7 @@ def test_nothing_free() -> None:
     assert not solution.covariance_or_raise().of("view").any()
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize("make", PROBLEMS)
 def test_no_selection_of_readings_brings_an_exception(make: str) -> None:
     rng = np.random.default_rng(1)
@@ -203,6 +204,7 @@ def test_no_selection_of_readings_brings_an_exception(make: str) -> None:
                 assert np.isfinite(solution.std(name)).all()
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize(
     "make", ["views eliminated", "control points", "targets eliminated, in part fixed", "scale bars"]
 )
@@ -288,6 +290,7 @@ LADDER = (
 )
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize("seed", range(3))
 def test_a_richer_model_never_ends_higher(seed: int) -> None:
     seen = look(board(8, 6), 9, seed, distance=450, tilt=50, inside=True).noisy(0.2, seed)

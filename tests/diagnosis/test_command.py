@@ -390,6 +390,7 @@ def known(folder: Path, true: float, stated: float, seed: int = 4, name: str = "
     return job
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize(("true", "stated"), [(1e-3, 4e-3), (1e-3, 1e-3), (0.1, 1e-3)])
 def test_a_wrong_sigma_of_known_points_is_told_as_that(
     folder: Path, metrocli: Metrocli, true: float, stated: float

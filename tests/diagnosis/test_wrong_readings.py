@@ -71,6 +71,7 @@ def earlier_plants(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(images.PLANTS, "align-part", kept)
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize(("number", "name"), [(148, "bad-pose"), (309, "moved-target")])
 @pytest.mark.usefixtures("earlier_plants")
 def test_a_bad_pose_of_an_image_of_two_or_three_targets_is_no_noise(number: int, name: str) -> None:

@@ -146,6 +146,7 @@ AFTER = {
 """Kind, file of the readings, its key, the column that the cause changes, where it acts, component, size, unit"""
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize("name", AFTER)
 def test_readings_of_every_method_take_the_column(name: str, metrocli: Metrocli, tmp_path: Path) -> None:
     kind, file, key, column, acts_on, component, size, unit = AFTER[name]

@@ -143,6 +143,7 @@ def test_derivatives_are_those_of_the_values(kind: str, link, of: tuple[float, f
         assert np.abs(along[3:] - expected[3:]).max(initial=0.0) < loose, (name, column)
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize("kind", sim.KINDS)
 def test_errors_added_to_axes_have_their_derivatives(kind: str) -> None:
     rng = np.random.default_rng(5)

@@ -109,6 +109,7 @@ def test_the_lineage_leads_from_left_to_right() -> None:
     assert plots.data_of("lineage", lengths(0.0), Beside(lineage=NODES[:1])) is None
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize(
     ("name", "beside", "words"),
     [

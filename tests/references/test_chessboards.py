@@ -77,6 +77,7 @@ def answer(ran: Any, code: int = 0) -> dict[str, Any]:
     return found
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize("model", MODELS)
 @pytest.mark.parametrize("name", SETS)
 def test_the_minimum_is_opencvs_or_lower(name: str, model: str, tmp_path: Path, metrocli: Metrocli) -> None:

@@ -214,6 +214,7 @@ def test_real_circles_where_opencv_gives_a_wrong_order() -> None:
     assert by_view.max() < 2.5 * np.median(by_view)
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize(
     ("columns", "rows", "words"),
     [

@@ -27,6 +27,7 @@ def draws(
     return np.array(errors), np.array(sigmas)
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize("aspect", [pytest.param(1.0, marks=pytest.mark.slow), 0.6])
 @pytest.mark.parametrize(("diameter", "limit"), [(6, 0.012), (10, 0.006), (30, 0.006)])
 def test_centres_with_noise(diameter: int, aspect: float, limit: float) -> None:
@@ -36,6 +37,7 @@ def test_centres_with_noise(diameter: int, aspect: float, limit: float) -> None:
     assert 0.85 < np.sqrt(np.mean(errors**2 / sigmas[:, None] ** 2)) < 1.25
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize("aspect", [pytest.param(1.0, marks=pytest.mark.slow), 0.5])
 @pytest.mark.parametrize("diameter", [6, 10, 30])
 def test_centres_without_noise(diameter: int, aspect: float) -> None:

@@ -30,6 +30,7 @@ def blank() -> Grey:
     return np.full((9000, 9000), 200, np.uint8)
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize("image", [noise, fine_squares, blank])
 def test_a_search_in_vain_ends(image: Callable[[], Grey]) -> None:
     """OpenCV's search alone takes 20 to 100 s of CPU for each."""

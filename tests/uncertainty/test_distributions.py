@@ -65,6 +65,7 @@ PAIRS = [
 ]  # fmt: skip
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize("r", [-0.6, 0.5, 0.9])
 @pytest.mark.parametrize("pair", PAIRS, ids=lambda p: f"{p[0].words}-{p[2].words}-{p[1]:g}-{p[3]:g}")
 def test_correlations_are_those_asked_for(

@@ -120,6 +120,7 @@ def way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
     return str(request.param)
 
 
+@pytest.mark.alike
 @EACH
 def test_each_way_is_the_dense_inverse(case: str, way: str) -> None:
     made = CASES[case]()

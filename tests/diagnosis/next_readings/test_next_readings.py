@@ -175,6 +175,7 @@ def some_readings() -> list[list[Proposal]]:
     return [best[:1], best, *drawn]
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize("rival", RIVALS)
 def test_what_neither_unknowns_nor_a_rival_absorb_is_that_of_plain_formulas(rival: str) -> None:
     diagnosis, _ = found()

@@ -36,6 +36,7 @@ def test_one_reading_is_named(tmp_path: Path, metrocli: Metrocli) -> None:
     assert not (tmp_path / "result.h5").exists()
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize("wrong", [length, height])
 def test_one_reading_is_left_out(wrong: Callable[[Network], Network], tmp_path: Path, metrocli: Metrocli) -> None:
     net = hall()
@@ -58,6 +59,7 @@ def heights_in_metres(net: Network) -> Network:
 WHOLE = {"write length_m in the heading": bars_in_metres, "write dh_m in the heading": heights_in_metres}
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize("words", WHOLE)
 def test_a_wrong_unit_is_found(words: str, tmp_path: Path, metrocli: Metrocli) -> None:
     ran = metrocli("adjust-network", WHOLE[words](hall()).write(tmp_path))

@@ -23,6 +23,7 @@ MAKES: dict[str, dict[str, Any]] = {
 }
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize("make", MAKES)
 def test_points_and_covariance_are_those_of_the_dense_adjustment(make: str, tmp_path: Path, metrocli: Metrocli) -> None:
     net = network(np.random.default_rng(11), **MAKES[make])

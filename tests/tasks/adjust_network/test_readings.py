@@ -108,6 +108,7 @@ def test_missing_cells_are_not_readings(tmp_path: Path, metrocli: Metrocli) -> N
     assert fewer["observations"] == int(str(whole["observations"])) - 3
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize("levelled", [False, True])
 def test_it_is_found_without_coordinates_beside_gross_errors(
     levelled: bool, tmp_path: Path, metrocli: Metrocli

@@ -34,12 +34,14 @@ def estimates(ran: Any) -> dict[str, dict[str, float]]:
     return found
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize("fisheye", ["", "left", "right"])
 def test_the_part_is_found_exactly_without_noise(fisheye: str, tmp_path: Path, metrocli: Metrocli) -> None:
     found = estimates(metrocli("align-part", made(tmp_path, metrocli, None, fisheye), "--json"))
     assert {name: one["value"] for name, one in found.items()} == pytest.approx(rig.TRUTH, abs=1e-6)
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize("fisheye", ["", "right"])
 def test_the_part_is_found_within_its_uncertainty(fisheye: str, tmp_path: Path, metrocli: Metrocli) -> None:
     found = estimates(metrocli("align-part", made(tmp_path, metrocli, 5, fisheye), "--json"))

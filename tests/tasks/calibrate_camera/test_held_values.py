@@ -12,6 +12,7 @@ from tasks.shared.images import small_jobs
 Metrocli = Callable[..., Any]
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize("name", ["aspect", "skew"])
 @pytest.mark.parametrize("noise", ["estimated", "0.1 px"])
 def test_a_held_value_that_the_readings_contradict_is_told(

@@ -104,6 +104,7 @@ def test_lengths_that_prove_nothing(tmp_path: Path, metrocli: Metrocli) -> None:
         assert message in ran.err
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize(("unit", "doubted"), [("mm", False), ("m", True)])
 def test_bars_in_another_unit_than_the_list_are_warned_of(
     unit: str, doubted: bool, tmp_path: Path, metrocli: Metrocli

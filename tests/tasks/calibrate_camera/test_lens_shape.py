@@ -189,6 +189,7 @@ def test_without_a_shape_the_base_is_the_result(tmp_path: Path, metrocli: Metroc
     assert ran.code == 0 and "the readings show no shape of the lens" in ran.out
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize("noise_known", [True, False])
 def test_the_size_has_the_largest_restricted_likelihood(noise_known: bool) -> None:
     """The likelihood of differences of the readings, from its definition with dense matrices."""

@@ -330,6 +330,7 @@ def as_pinholes(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[tuple[s
     return request.param, path
 
 
+@pytest.mark.alike
 def test_pinholes_that_are_fisheyes_are_named(as_pinholes: tuple[tuple[str, ...], Path], metrocli: Metrocli) -> None:
     fisheyes, path = as_pinholes
     ran = metrocli("calibrate-camera", path)
@@ -338,6 +339,7 @@ def test_pinholes_that_are_fisheyes_are_named(as_pinholes: tuple[tuple[str, ...]
         assert (f"{name}: the lens is a fisheye" in ran.out) is (name in fisheyes), ran.out
 
 
+@pytest.mark.alike
 def test_a_diagnosis_names_the_fisheyes_first(as_pinholes: tuple[tuple[str, ...], Path], metrocli: Metrocli) -> None:
     fisheyes, path = as_pinholes
     ran = metrocli("diagnose", path, "--quick", "--json", "--out", path.with_name("better.yaml"))

@@ -46,6 +46,7 @@ output: camera.h5
 """
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize(
     ("board", "more"), [("chessboard", ""), ("circles", ", diameter: 10 mm"), ("charuco", ", marker_size: 18.75 mm")]
 )

@@ -29,6 +29,7 @@ def scores(result, machine: sim.Machine) -> np.ndarray:  # type: ignore[no-untyp
     return np.concatenate(found)
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize("order", ["XYZ", "YXZ", "ZXY"])
 @pytest.mark.parametrize("knots", [(5, 5, 5), (7, 6, 4)], ids=["zero on a knot", "zero between knots"])
 def test_without_noise_the_truth_comes_back(order: str, knots: tuple[int, int, int]) -> None:

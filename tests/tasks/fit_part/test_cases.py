@@ -30,6 +30,7 @@ def shared(number: str) -> Casting:
     return Casting(pose, np.array([row["surface"] for row in rows]), points, points, points[:0], 0.05)
 
 
+@pytest.mark.alike
 @HERE
 @pytest.mark.parametrize("number", ["001", "002", pytest.param("003", marks=pytest.mark.slow), "004"])
 def test_a_shared_casting(number: str, tmp_path: Path, metrocli: Metrocli) -> None:

@@ -59,6 +59,7 @@ def solved_of(one: Casting, part: NominalFile, aim: str = "most", minimum: float
     return solve(settings, prepare(settings, part, Table({**columns, **places})))
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize(("aim", "minimum"), [("even", 0.5), ("even", 2.3), ("least-motion", 0.5), ("most", 0.5)])
 def test_the_sensitivity_is_the_difference_of_two_fits(aim: str, minimum: float, tmp_path: Path) -> None:
     one = casting(33)

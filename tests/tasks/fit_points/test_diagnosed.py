@@ -43,6 +43,7 @@ def one_axis(measured: Array) -> Array:
     return measured * [1.0, 1.0003, 1.0]
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize(
     ("change", "after", "name", "where", "size"),
     [

@@ -72,6 +72,7 @@ SLOW = (IdealFeature.CYLINDER, IdealFeature.CONE, IdealFeature.SPHERE)
 """Shapes whose fit begins from many directions"""
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize(
     "shape", [pytest.param(one, marks=pytest.mark.slow if one in SLOW else ()) for one in IdealFeature]
 )

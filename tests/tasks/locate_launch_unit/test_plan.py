@@ -242,6 +242,7 @@ def test_the_programs_of_the_paper_s_scenario_run(control: str) -> None:
         check_program(text, plan, name, PAPER_UNIT, job)
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize("seed", range(30))
 def test_programs_keep_clear_of_a_unit_anywhere(seed: int) -> None:
     rng = np.random.default_rng(seed)

@@ -89,6 +89,7 @@ def run(net: Network, scale: float | None) -> Result:
     return multilaterate.run(multilaterate.TASK.job(settings(scale), net.lengths(), net.point_table()))
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize(("m", "scale"), CASES)
 def test_as_the_bordered_equations_in_extended_precision(m: int, scale: float | None) -> None:
     net = network(30, m, seed=m, scale=scale or 0.0)

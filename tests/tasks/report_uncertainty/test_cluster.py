@@ -258,6 +258,7 @@ def bits(path: Path) -> tuple[Any, ...]:
     return np.asarray(result.arrays["monte_carlo_covariance"]).tobytes(), repr(details)
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize("trials", ["adaptive", 400_000, 3_000_000])
 def test_a_cluster_gives_the_same_bits(cluster: tuple[Path, Any], trials: Any, tmp_path: Path) -> None:
     job = {**JOB, "monte_carlo": {"trials": trials, "seed": 5}}

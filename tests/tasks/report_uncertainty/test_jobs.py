@@ -161,6 +161,7 @@ REVERSE: dict[str, Any] = {
 }  # fmt: skip
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize(
     "correlations", [[], [{"between": ["b", "c"], "value": 0.6}]], ids=["independent", "correlated"]
 )

@@ -28,6 +28,7 @@ def fields(result: Result) -> tuple[np.ndarray, np.ndarray]:
     return tuple(result.tables[name].stacked(["ex", "ey", "ez"]) for name in ("machine_error", "artefact_error"))
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize(
     ("n", "views"), [(3, "1234"), (5, "1234"), (5, "123456"), (5, "1237"), (7, "1234"), (11, "1234")]
 )

@@ -101,7 +101,9 @@ def system_of(
     free = np.broadcast_to(blocks[camera.TARGET].free, targets.points.shape)
     chain = camera.chain(settings.rig, *(problem.convention for problem in each))
     group = Group(IMAGES, chain, exposed.readings(sighted.observations))
-    datum = target_datum(settings.rig, blocks[camera.TARGET], several=True) if free.any() else None
+    # the frame is that of the list: the places where the cameras stand alone have left it
+    listed = blocks[camera.TARGET].with_values(points)
+    datum = target_datum(settings.rig, listed, several=True) if free.any() else None
     places = {"image": Place(sighted.images, IMAGE), "target": Place(targets.names, camera.TARGET)}
     seen_in = np.bincount(sighted.target, minlength=len(targets.names))
     known = (*priors(blocks[camera.TARGET], targets.sigma, free), *scale_bars(bars, targets.names, seen_in))

@@ -147,6 +147,7 @@ def test_the_zone_of_a_sphere_is_the_least_of_all_candidates() -> None:
     assert minimum_zone(IdealFeature.SPHERE, points).form == pytest.approx(zones.min(), abs=1e-10)
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize("shape", [IdealFeature.LINE, IdealFeature.CYLINDER, IdealFeature.CONE])
 @pytest.mark.parametrize("seed", range(1))
 def test_no_other_program_finds_a_smaller_zone(shape: IdealFeature, seed: int) -> None:
@@ -210,6 +211,7 @@ def test_a_line_that_two_points_nearly_hold_has_its_least_zone(number: int, seed
             assert 2 * distances(IdealFeature.LINE, values + off, points).max() > fit.form - 1e-10
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize("fitted", [least_squares, minimum_zone])
 @pytest.mark.parametrize("shape", IdealFeature)
 def test_a_feature_follows_its_points_as_stated(fitted, shape: IdealFeature) -> None:  # type: ignore[no-untyped-def]

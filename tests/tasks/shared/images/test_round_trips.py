@@ -38,6 +38,7 @@ def assert_true(found: dict[str, Any], truth: dict[str, Any]) -> None:
         assert abs(estimate["value"] - truth[name]) < BOUND * estimate["std"], name
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize("convention", ["forward", "backward"])
 @pytest.mark.parametrize("rig", TRUTH)
 def test_a_calibration_finds_the_simulated_lens(rig: str, convention: str, tmp_path: Path, metrocli: Metrocli) -> None:
@@ -123,6 +124,7 @@ def test_tilted_rings_are_freed_of_eccentricity(tmp_path: Path, metrocli: Metroc
     assert abs(ignored["z"]["value"] - truth["z"]) > 0.01
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize("clamping", ["0.1 deg", "35 deg", "172 deg", "-170 deg"])
 def test_a_camera_that_looks_down_finds_the_part_at_any_clamping_angle(
     clamping: str, tmp_path: Path, metrocli: Metrocli
