@@ -107,8 +107,7 @@ def _is_fisheye(problem: CameraProblem, settings: CameraSettings, noise: float |
     """
     if not _may_be_fisheye(problem):
         return False
-    whole = replace(CameraSettings(image_size=problem.image_size), estimate=_WHOLE)
-    left = root_mean_square(_left(build(problem.rig, whole, replace(problem.sighted, warnings=()))))
+    left = _left_by_pinhole(problem)
     try:
         other = as_fisheye(problem, settings)
     except UndeterminedError:
@@ -137,15 +136,24 @@ def _left(problem: CameraProblem) -> Array:
     return problem.images.residuals({**problem.blocks, **solution.blocks})
 
 
+def _left_by_pinhole(problem: CameraProblem) -> float:
+    """Return the rms [px] that a pinhole with all its distortion leaves of the same readings."""
+    whole = replace(CameraSettings(image_size=problem.image_size), estimate=_WHOLE)
+    return root_mean_square(_left(build(problem.rig, whole, replace(problem.sighted, warnings=()))))
+
+
 def fisheye_instead(problem: CameraProblem, settings: CameraSettings, rms: float) -> list[str]:
-    """Return that the model fisheye fits far better than a forward lens whose residuals have this rms [px]."""
+    """Return that the model fisheye fits far better than a forward lens whose residuals have this rms [px].
+
+    A lens whose distortion the job does not estimate is no fisheye.
+    """
     if not _may_be_fisheye(problem):
         return []
     try:
         left = root_mean_square(_left(as_fisheye(problem, settings)))
     except UndeterminedError:
         return []
-    if not left < _BETTER * rms:
+    if not (left < _BETTER * rms and left * _FITS <= _left_by_pinhole(problem)):
         return []
     return [
         f"the lens is a fisheye: that model leaves residuals of {left:.2g} px (rms), this one {rms:.2g} px; "
