@@ -23,6 +23,8 @@ _CERTAIN = 3.0
 """Standard uncertainties by which the principal point of turned images is on the other side"""
 _GAIN = 50.0
 """Decrease of chi-square by turning images back from which they are named, in units of the residuals' variance"""
+_FITS, _MUCH = 4.0, 2.0
+"""Variance, in that declared, above which something else is wrong, and how much smaller chi-square has to be then"""
 _AXES = ("cx", "cy")
 
 
@@ -50,6 +52,8 @@ def turned_images(problem: CameraProblem, adjusted: AdjustedImages) -> list[str]
     solution = adjusted.solution
     variance = max(other.cost / max(solution.dof, 1), 1e-12)
     if not np.isfinite(other.cost) or (solution.cost - other.cost) / variance < _GAIN:
+        return []
+    if variance > _FITS and solution.cost < _MUCH * other.cost:
         return []
     names = [name for name, turned in zip(problem.sighted.images, few, strict=True) if turned]
     values = other.blocks[camera.LENS].named()
