@@ -74,7 +74,10 @@ def expressed(program: str, result: Result, within: float, posed: bool = False) 
         raise InputError(f"a result of {result.kind} is no camera: this format takes results of calibrate-camera")
     found = list[ExpressedCamera]()
     for stated in stated_cameras(result):
-        one = _of_program(program, stated, within)
+        try:
+            one = _of_program(program, stated, within)
+        except InputError as error:
+            raise InputError(f"camera {stated.name}: {error}" if stated.name else str(error)) from error
         lost = f"the pose of {stated.name} beside {found[0].name} is not in this format" if found and not posed else ""
         found.append(replace(one, name=stated.name, pose=stated.pose, notes=(*one.notes, *filter(None, [lost]))))
     return found
@@ -98,8 +101,20 @@ def _of_program(program: str, stated: StatedCamera, within: float) -> ExpressedC
         values, notes = dict(fit.values), (f"{form.title} is the nearest model of {program}: {_difference(fit)}",)
     if convention != "backward" and (fold := projection_range(lens, size, convention == "fisheye")):
         notes += (f"beyond {fold:.0f} px from its principal point the lens folds over and has no direction",)
+    if program == "opencv" and form.fisheye and (widest := _widest(stated)) > _OF_OPENCV:
+        notes += (f"the image reaches {widest:.0f} degrees off the axis; OpenCV projects wrongly beyond 90 degrees",)
     shifted = {name: value + pixel * (name in ("cx", "cy")) for name, value in values.items()}
     return ExpressedCamera(form, shifted, size, notes)
+
+
+_OF_OPENCV = 90.0
+"""Angle off the axis up to which cv2.fisheye.projectPoints holds [deg]"""
+
+
+def _widest(stated: StatedCamera) -> float:
+    """Return the largest angle off the axis in the image [deg]."""
+    x, y, z = stated.direction(np.stack(image_grid(stated.size, 21)))
+    return float(np.degrees(np.nanmax(np.arctan2(np.hypot(x, y), z))))
 
 
 _COLUMNS = (10, 16, 24, 36, 54, 80, 120)

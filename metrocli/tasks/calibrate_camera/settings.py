@@ -269,7 +269,8 @@ def job_of(images: str, board: str, output: str, count: int) -> str:
     """
     pattern = ", ".join(f"{key}: {value}" for key, value in board_in_words(board).items())
     # uncertainties for white noise are too small on real boards (docs/decisions/265-a-first-job-is-structured.md)
-    noise = STRUCTURED if count >= robust.FEWEST else ESTIMATED
+    white = f"{ESTIMATED}  # uncertainties are too small; {robust.FEWEST} images or more allow {STRUCTURED}"
+    noise = STRUCTURED if count >= robust.FEWEST else white
     return (
         f"metrocli: 1\njob: calibrate-camera\nrig: board\ninputs: {{images: {json.dumps(images)}}}\n"
         f"pattern: {{{pattern}}}\nnoise: {noise}\noutput: {json.dumps(output)}\n"
