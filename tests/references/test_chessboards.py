@@ -123,8 +123,8 @@ def test_compared_models_hold_out_as_opencvs(compared: tuple[Points, dict[str, A
 
 def test_the_rms_never_rises_along_the_ladder(compared: tuple[Points, dict[str, Any]]) -> None:
     points, rows = compared
-    rms = [row["rms"] for row in rows.values()]
-    assert len(rms) == 7
+    rms = [row["rms"] for row in rows.values()][:7]
+    assert list(rows)[0] == "pinhole" and list(rows)[6] == "rational + prism"
     assert all(rich <= simple for simple, rich in pairwise(rms))
     for name, model in (("rational", "rational"), ("rational + prism", "rational+thinprism")):
         sound = not any(word in rows[name]["remark"] for word in ("not determined", "folds over", "did not converge"))
@@ -132,11 +132,13 @@ def test_the_rms_never_rises_along_the_ladder(compared: tuple[Points, dict[str, 
             assert rows[name]["rms"] <= points.models[model]["rms_px"] + 1e-5, name
 
 
-def test_no_model_beyond_tangential_terms_is_chosen(compared: tuple[Points, dict[str, Any]]) -> None:
+def test_no_pinhole_beyond_tangential_terms_is_chosen(compared: tuple[Points, dict[str, Any]]) -> None:
     _, rows = compared
     chosen = [name for name, row in rows.items() if "chosen" in row["remark"]]
     assert len(chosen) == 1
-    assert chosen[0] in ("k1", "k1 k2", "k1 k2 p1 p2")
+    assert chosen[0] in ("k1", "k1 k2", "k1 k2 p1 p2") or chosen[0].startswith("fisheye")
+    kinds = {name.split()[0] for name in rows}
+    assert {"pinhole", "division", "backward", "fisheye"} <= kinds and "k1 k2 k3 p1 p2 + tilt" in rows
     assert rows[chosen[0]]["camera_moves"] == 0
 
 

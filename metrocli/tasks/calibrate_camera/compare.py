@@ -14,7 +14,7 @@ from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.instruments import camera
 from metrocli.instruments.lenses.conventions import projection_range
-from metrocli.instruments.lenses.distortion import DISTORTION, PRISM, RATIONAL
+from metrocli.instruments.lenses.distortion import DISTORTION, PRISM, RATIONAL, TILT
 from metrocli.table import Table
 from metrocli.tasks.calibrate_camera.problem import CameraProblem
 from metrocli.tasks.calibrate_camera.shape.found import link_of
@@ -39,6 +39,13 @@ FISHEYES: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("fisheye k1 k2 k3 k4 p1 p2", ("k1", "k2", "k3", "k4", "p1", "p2")),
 )
 """Likewise"""
+DIVISIONS: tuple[tuple[str, tuple[str, ...]], ...] = (("division k4", ("k4",)), ("division k4 k5 k6", RATIONAL))
+BACKWARDS = tuple((f"backward {name}", terms) for name, terms in LADDER[1:5])
+"""Likewise, each with the correction at the measured point"""
+LADDERS = {"forward": (LADDER,), "fisheye": (FISHEYES,), "backward": (DIVISIONS, BACKWARDS)}
+"""Ladders of each convention"""
+_TILTED = "k1 k2 k3 p1 p2"
+"""Model to which the tilt of the sensor is added; no other one contains it"""
 _ALL_FOLDS, _FOLDS = 20, 10
 """Up to 20 images are held out one by one; more are held out in 10 folds"""
 _STEPS = 100
@@ -72,11 +79,15 @@ def compare_models(problems: Sequence[CameraProblem]) -> Table:
 
     The simplest model whose held-out error is within one standard error of the smallest one is marked as chosen.
     """
-    ladders = [list(_climb(problem)) for problem in problems]
+    ladders = [list(_climb(problem, rungs)) for problem in problems for rungs in LADDERS[problem.convention]]
     fitted = [model for ladder in ladders for model in ladder]
+    p_values = [p for ladder in ladders for p in (np.nan, *(_significance(a, b) for a, b in pairwise(ladder)))]
+    for base in [model for model in fitted if model.name == _TILTED]:
+        tilted = base.problem.with_lens(dict.fromkeys(TILT, 0.0)).with_estimate([*_estimated(base.problem), *TILT])
+        fitted.append(fitted_lens(f"{_TILTED} + tilt", tilted))
+        p_values.append(_significance(base, fitted[-1]))
     fitted += _splines(fitted[_chosen(fitted)])
     chosen = _chosen(fitted)
-    p_values = [p for ladder in ladders for p in (np.nan, *(_significance(a, b) for a, b in pairwise(ladder)))]
     moves = [_moved(model, fitted[chosen]) for model in fitted]
     remarks = [_remark(model, i == chosen) for i, model in enumerate(fitted)]
     return Table.of(
@@ -93,17 +104,20 @@ def compare_models(problems: Sequence[CameraProblem]) -> Table:
     )
 
 
-def _climb(problem: CameraProblem) -> Iterator[FittedLens]:
+def _climb(problem: CameraProblem, ladder: Sequence[tuple[str, tuple[str, ...]]]) -> Iterator[FittedLens]:
     """Fit each model from the solution of the one before, so that the RMS never rises."""
-    ladder = FISHEYES if problem.convention == "fisheye" else LADDER
-    lens = problem.blocks[camera.LENS]
-    plain = [name for name in lens.columns if name not in DISTORTION and lens.free[0, lens.column(name)]]
+    plain = [name for name in _estimated(problem) if name not in DISTORTION]
     # from the plainest lens upwards: a higher term of the job would start the plain models elsewhere
     here = problem.with_lens(dict.fromkeys(ladder[-1][1], 0.0))
     for name, terms in ladder:
         model = fitted_lens(name, here.with_estimate([*plain, *terms]))
         here = model.problem
         yield model
+
+
+def _estimated(problem: CameraProblem) -> list[str]:
+    lens = problem.blocks[camera.LENS]
+    return [name for name in lens.columns if lens.free[0, lens.column(name)]]
 
 
 def fitted_lens(name: str, problem: CameraProblem) -> FittedLens:

@@ -18,6 +18,7 @@ from metrocli.tasks.calibrate_camera.build import build
 from metrocli.tasks.calibrate_camera.problem import CameraProblem
 from metrocli.tasks.calibrate_camera.settings import CameraSettings, Files, Settings
 from metrocli.tasks.job import Job
+from metrocli.tasks.shared.images.settings import MODELS
 from metrocli.tasks.shared.images.tables import root_mean_square, scatter
 from metrocli.words import in_a_row
 
@@ -162,15 +163,19 @@ def fisheye_instead(problem: CameraProblem, settings: CameraSettings, rms: float
 
 
 def other_models(problem: CameraProblem, settings: CameraSettings) -> list[CameraProblem]:
-    """Return the calibration of the same readings as a pinhole with distortion, for a fisheye, and the other way round.
+    """Return the calibration of the same readings with the other models: fisheye, pinhole and backward correction.
 
-    A fisheye that sees beyond 80 degrees off its axis has no other, nor has a backward lens.
+    A fisheye that sees beyond 80 degrees off its axis has no other.
     """
-    if problem.convention == "forward":
-        return [as_fisheye(problem, settings)]
-    lens, (u, v) = problem.blocks[camera.LENS].named(), problem.images.observations.readings
-    seen = direction(lens, u, v, problem.convention)
-    if problem.convention == "backward" or not (seen[2] > _WIDEST).all():
-        return []
-    usual = CameraSettings(image_size=problem.image_size)
-    return [build(problem.rig, usual, replace(problem.sighted, warnings=()))]
+    if problem.convention == "fisheye":
+        lens, (u, v) = problem.blocks[camera.LENS].named(), problem.images.observations.readings
+        if not (direction(lens, u, v, problem.convention)[2] > _WIDEST).all():
+            return []
+    others = [_usual(problem, model) for model in ("opencv", "backward") if MODELS[model] != problem.convention]
+    return others if problem.convention == "fisheye" else [*others, as_fisheye(problem, settings)]
+
+
+def _usual(problem: CameraProblem, model: str) -> CameraProblem:
+    """Return the calibration of the same readings with the usual parameters of a model."""
+    usual = CameraSettings(image_size=problem.image_size, model=model)
+    return build(problem.rig, usual, replace(problem.sighted, warnings=()))
