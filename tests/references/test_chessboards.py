@@ -124,7 +124,7 @@ def test_compared_models_hold_out_as_opencvs(compared: tuple[Points, dict[str, A
 def test_the_rms_never_rises_along_the_ladder(compared: tuple[Points, dict[str, Any]]) -> None:
     points, rows = compared
     rms = [row["rms"] for row in rows.values()][:7]
-    assert list(rows)[0] == "pinhole" and list(rows)[6] == "rational + prism"
+    assert [*rows][:7:6] == ["pinhole", "rational + prism"]
     assert all(rich <= simple for simple, rich in pairwise(rms))
     for name, model in (("rational", "rational"), ("rational + prism", "rational+thinprism")):
         sound = not any(word in rows[name]["remark"] for word in ("not determined", "folds over", "did not converge"))
