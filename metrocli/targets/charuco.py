@@ -132,6 +132,32 @@ def count_markers(picture: Picture, dictionary: str) -> int:
     return 0 if ids is None else len(ids)
 
 
+def are_among_squares(picture: Picture, dictionary: str) -> bool:
+    """Return whether dark squares lie between neighbouring markers of a dictionary, as on a ChArUco board.
+
+    Half way between two markers two dark squares meet there; on a grid of markers it is white.
+    """
+    grey = eight_bit(picture)
+    corners = cv2.aruco.ArucoDetector(_dictionary(dictionary)).detectMarkers(grey)[0]
+    seen = np.asarray(corners, dtype=float).reshape(-1, 4, 2)
+    middles = seen.mean(axis=1)
+    apart = np.linalg.norm(middles[:, None] - middles, axis=2) + np.diag(np.full(len(seen), np.inf))
+    dark = []
+    for at, other in enumerate(apart.argmin(axis=1)):
+        side = float(np.linalg.norm(np.diff(seen[at], axis=0), axis=1).mean())
+        reach = max(int((apart[at, other] - side) / 4), 1)
+        between = _patch(grey, (middles[at] + middles[other]) / 2, reach)
+        marker = _patch(grey, middles[at], max(int(side / 2), 1))
+        if between.size and marker.size:
+            dark.append(between.min() < (int(marker.min()) + int(marker.max())) / 2)
+    return bool(dark) and bool(np.mean(dark) > 1 / 2)
+
+
+def _patch(grey: Picture, at: Array, reach: int) -> Picture:
+    u, v = np.rint(at).astype(int)
+    return grey[max(v - reach, 0) : v + reach + 1, max(u - reach, 0) : u + reach + 1]
+
+
 def _sizes(pattern: Pattern) -> tuple[float, float]:
     """Return the sides of a square (1) and of a marker, in units of the square."""
     if pattern.pitch is None or pattern.marker_size is None:

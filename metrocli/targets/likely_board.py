@@ -12,7 +12,7 @@ import numpy as np
 from metrocli.arrays import Picture
 from metrocli.targets import blobs
 from metrocli.targets.aprilgrid import tags_in
-from metrocli.targets.charuco import FEWEST, count_markers, markers_in, other_layout
+from metrocli.targets.charuco import FEWEST, are_among_squares, count_markers, markers_in, other_layout
 from metrocli.targets.chessboard import shown_size
 from metrocli.targets.circles import shown_grids
 from metrocli.targets.find import find
@@ -68,6 +68,8 @@ def _marked(pattern: Pattern, picture: Picture, pictures: Sequence[Picture]) -> 
     name = markers_in(picture)
     if not name or sum(count_markers(other, name) >= FEWEST for other in pictures) <= _SHARE * len(pictures):
         return ""
+    if not are_among_squares(picture, name):
+        return f"markers of {name} with no squares between them: a grid of markers is no board of `pattern`"
     if pattern.type == "charuco":
         return other_layout(pattern, picture, name) or f"markers of {name}: check columns and rows"
     return f"markers of {name}: is it type: charuco, dictionary: {name}?"
