@@ -120,6 +120,7 @@ class Descent:
         A damped step leaves no movement open, so nothing holds the values in the datum meanwhile. What is far off it
         is brought back to first order; steps that follow adjust the readings again.
         """
+        before = np.inf
         for _ in range(_RESTORED):
             normals = self.here()
             try:
@@ -128,10 +129,13 @@ class Descent:
                 break
             if frame is None:
                 break
-            shifts = frame.steps(self.state, self.state[frame.datum.block].values)
             block = self.state[frame.datum.block]
-            if np.abs(shifts[block.name]).max() <= _IN_DATUM * max(np.ptp(block.values, axis=0).max(), 1e-300):
+            shifts = frame.steps(self.state, block.values)
+            off = float(np.abs(shifts[block.name]).max())
+            # what is left is of second order: if it no longer shrinks, it is rounding
+            if off <= _IN_DATUM * float(np.ptp(block.values, axis=0).max()) or off > before / 2:
                 break
+            before = off
             self.state |= {name: self.state[name].moved(shift) for name, shift in shifts.items()}
             self.normals, self.damping, self.fall = None, 0.0, 0.0
             self.cost = self.here().cost

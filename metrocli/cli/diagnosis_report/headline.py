@@ -23,9 +23,9 @@ def headline(diagnosis: Diagnosis) -> str:
     """Return the verdict with what limits it: wrong readings, and noise that is not as declared."""
     noise, count = diagnosis.noise, len(diagnosis.outliers)
     wrong = f", with {count} wrong reading{'s' if count > 1 else ''}" if count else ""
-    not_told = diagnosis.quick or diagnosis.job.noise_model or ESTIMATED in diagnosis.job.declared
-    as_declared = noise.as_declared or not_told
-    limits = [] if as_declared else [f"the noise is {_times(noise.ratio)} times what was declared"]
+    follows = diagnosis.job.noise_model or ESTIMATED in diagnosis.job.declared
+    compared = not (noise.as_declared or follows or diagnosis.quick)
+    limits = [f"the noise is {_times(noise.ratio)} times what was declared"] if compared else []
     groups = [noisier(unit) for unit in diagnosis.variance_groups if unit.key != DECLARED_SIGMA]
     several = f"{len(groups)} groups of readings are noisier or quieter than the others (below)"
     limits += groups if len(groups) <= _MOST_GROUPS else [several]

@@ -176,7 +176,7 @@ class Fold:
         for one in model.fixed:
             if one.is_reading:
                 spared[m.places[one.number][m.places[one.number] >= 0]] = True
-        right, basis = ~spared[self.rows], m.system.basis
+        kept, basis = ~spared[self.rows], m.system.basis
         if self.whole:
             x = shared_columns(m, self.others(model.fixed), model.random, rows=self.rows)
             errors = m.system.residual[self.rows] - x @ fit.sizes
@@ -186,7 +186,7 @@ class Fold:
             errors, shares = fit.sizes[-count:], np.ones(count)
             variances = (np.linalg.inv(fit.lower[-count:, -count:]) ** 2).sum(axis=0)
         scale = np.where(m.system.alike, m.system.scale, np.nan)[self.rows]
-        return Held(score, errors[right], scale[right], shares[right], variances[right])
+        return Held(score, errors[kept], scale[kept], shares[kept], variances[kept])
 
 
 def _log_marginal(fit: Fit, ranks: float) -> float:
