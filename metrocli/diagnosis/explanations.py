@@ -90,7 +90,7 @@ def noise_instead(state: State, part: Fixed) -> tuple[Instead, ...]:
 
 def relative_spread(state: State, number: int) -> float:
     """Return the relative uncertainty of the standard deviation of a random part, from the likelihood's bend."""
-    bend = float(state.fit.slopes[1][1][number])
+    bend = float(state.fit.slopes[2][number])
     return float(1 / np.sqrt(max(2 * bend, 1e-12)))
 
 

@@ -96,20 +96,16 @@ class Fit:
         kinds = self.products.of_shared
         return self.products.unknowns + int((kinds >= 0).sum())
 
+    @property
+    def _freedoms(self) -> int | float:
+        """Degrees of freedom beside all columns but the random ones."""
+        return self.dof - (len(self.sought) - self.fixed)
+
     @cached_property
     def likelihood(self) -> float:
-        """The restricted log-likelihood, of the readings beside which fixed columns are estimated."""
-        return -(self.dof * float(np.log(self.squares)) + self.log_det) / 2
-
-    @cached_property
-    def inverse(self) -> Array:
-        """Inverse of the shared system, (p, p)."""
-        from scipy.linalg.lapack import dpotri
-
-        if not len(self.lower):
-            return self.lower
-        inverse = dpotri(self.lower, lower=1)[0]
-        return np.asarray(np.tril(inverse) + np.tril(inverse, -1).T)
+        """The restricted log-likelihood of the sizes, beside unknowns and fixed columns."""
+        of_fixed = 2 * float(np.log(np.diag(self.lower)[self.fixed :]).sum())
+        return -(self._freedoms * float(np.log(self.squares)) + self.log_det + of_fixed) / 2
 
     @cached_property
     def sizes(self) -> Array:
@@ -121,38 +117,38 @@ class Fit:
         return np.asarray(solve_triangular(self.lower, self.sought, lower=True, trans="T", check_finite=False))
 
     @cached_property
-    def slopes(self) -> tuple[Array, Array]:
+    def slopes(self) -> tuple[Array, Array, Array]:
         """What is found and what is expected of each random component, and the bend of the likelihood by its ln.
 
         The derivative of the likelihood by ln of a variance is half of found less expected: `nu u'u/(g S)` and the
         effective number of its coefficients. The bend is half the sum of squares of their shares.
         """
-        products, scale = self.products, self.dof / self.squares
-        count = len(self.logs)
-        inverse, sizes, variance = self.inverse, self.sizes, np.exp(self.logs)
-        found, free, bend = np.zeros(count), np.zeros(count), np.zeros(count)
-        for j in range(count):
-            at = np.flatnonzero(products.of_shared == j)
-            if at.size:
-                share = np.eye(len(at)) - inverse[np.ix_(at, at)] / variance[j]
-                found[j] += float(sizes[at] @ sizes[at]) / variance[j]
-                free[j] += float(np.trace(share))
-                bend[j] += float((share**2).sum())
+        from scipy.linalg.lapack import dpotri
+
+        products, variance = self.products, np.exp(self.logs)
+        found, expected, bend = np.zeros((3, len(variance)))
+
+        def add(j: int, sizes: Array, unsettled: Array) -> None:
+            trace, count = float(np.einsum("mkk->", unsettled)), unsettled.shape[0] * unsettled.shape[1]
+            found[j] += float((sizes**2).sum())
+            expected[j] += count - trace
+            bend[j] += count - 2 * trace + float(np.vdot(unsettled, unsettled))
+
+        if (products.of_shared >= 0).any():
+            upper = dpotri(self.lower.T)[0]
+            inverse = np.triu(upper) + np.triu(upper, 1).T
+            for j in range(len(variance)):
+                at = np.flatnonzero(products.of_shared == j)
+                add(j, self.sizes[at] / np.sqrt(variance[j]), inverse[None, at[:, None], at] / variance[j])
         if len(products.own) and products.of_local.size:
-            left = np.swapaxes(self.half, 1, 2)
-            coefficients = left @ self.shown
-            u = coefficients[:, :, -1] - coefficients[:, :, :-1] @ sizes
-            posterior = left @ self.half
-            shared = coefficients[:, :, :-1]
-            posterior = posterior + (shared @ inverse) @ np.swapaxes(shared, 1, 2)
-            for j in range(count):
+            left, shared = np.swapaxes(self.half, 1, 2), self.shown[:, :, :-1]
+            sizes = np.einsum("mkj,mj->mk", left, self.shown[:, :, -1] - shared @ self.sizes)
+            across = _solved(self.lower, shared.reshape(-1, shared.shape[2]).T).T.reshape(shared.shape)
+            posterior = left @ (across @ np.swapaxes(across, 1, 2) + np.eye(shared.shape[1])) @ self.half
+            for j in range(len(variance)):
                 at = np.flatnonzero(products.of_local == j)
-                if at.size:
-                    share = np.eye(len(at)) - posterior[:, at[:, None], at]
-                    found[j] += float((u[:, at] ** 2).sum())
-                    free[j] += float(np.einsum("mkk->", share))
-                    bend[j] += float((share**2).sum())
-        return found * scale, np.stack([free, bend])
+                add(j, sizes[:, at], posterior[:, at[:, None], at])
+        return found * self._freedoms / self.squares, expected, bend
 
 
 def fit_at(products: Products, logs: Array) -> Fit:
@@ -199,19 +195,22 @@ def fit_at(products: Products, logs: Array) -> Fit:
 def likeliest(products: Products, logs: Array, most: Array, steps: int = _STEPS) -> Fit:
     """Return the state at the sizes of the largest likelihood, from some on; ln of a variance is `most` at most.
 
-    Each step is Newton's for each size alone. One after which the likelihood is smaller is halved.
+    Each step is Newton's for each size alone. One after which the likelihood is smaller is shortened. A quarter of
+    `(found - expected)'step` is what the likelihood gains by a step of Newton.
     """
     fit = fit_at(products, np.minimum(logs, most))
     for _ in range(steps if len(logs) else 0):
-        found, (free, bend) = fit.slopes
-        step = np.clip((found - free) / np.maximum(bend, 1e-9), -_FAR, _FAR)
+        found, expected, bend = fit.slopes
+        step = np.clip((found - expected) / np.maximum(bend, 1e-9), -_FAR, _FAR)
         # where almost nothing is expected, the ratio of found to expected is the better guide
-        ratio = np.log(np.maximum(found, 1e-12) / np.maximum(free, 1e-12))
+        ratio = np.log(np.maximum(found, 1e-12) / np.maximum(expected, 1e-12))
         shorter = np.sign(ratio) * np.maximum(np.abs(ratio), np.abs(step) / 2)
         step = np.where(np.abs(step) > np.abs(ratio), shorter, step)
-        step = np.clip(step, -_FAR, _FAR)
+        step = np.clip(fit.logs + np.clip(step, -_FAR, _FAR), _LEAST, most) - fit.logs
+        if (found - expected) @ step < 4 * _STILL:
+            break
         for _ in range(6):
-            after = fit_at(products, np.clip(fit.logs + step, _LEAST, most))
+            after = fit_at(products, fit.logs + step)
             if after.likelihood >= fit.likelihood - 1e-9:
                 break
             step = step / 3

@@ -19,8 +19,8 @@ from metrocli.diagnosis.evidence.weights import with_noise
 from metrocli.diagnosis.noise import AS_OTHERS
 
 _MOST = 60
-_GAINED = 1e-3
-"""Least gain of the score by a move: less is rounding"""
+_GAINED = 0.05
+"""Least gain of the score by a move: less is what sizes have that are not quite the likeliest"""
 _SURE = 2.5
 """Net evidence below which a part is left out on trial"""
 _NEAR = 3.0

@@ -108,14 +108,14 @@ def test_the_likelihood_is_the_restricted_one(kind: str) -> None:
 
 @pytest.mark.parametrize("kind", [BOARD, NETWORK])
 def test_slopes_are_the_derivatives_of_the_likelihood(kind: str) -> None:
-    m, (_, random, logs) = measurement(kind), parts(kind)
-    found, (free, _) = State.of(m, (), random, logs, 0).fit.slopes
+    m, (fixed, random, logs) = measurement(kind), parts(kind)
+    found, expected, _ = State.of(m, fixed, random, logs, 0).fit.slopes
     for number in range(len(random)):
         ends = [list(logs), list(logs)]
         ends[0][number] += 1e-4
         ends[1][number] -= 1e-4
-        high, low = (State.of(m, (), random, one, 0).fit.likelihood for one in ends)
-        assert (high - low) / 2e-4 == pytest.approx((found[number] - free[number]) / 2, rel=1e-4, abs=1e-5)
+        high, low = (State.of(m, fixed, random, one, 0).fit.likelihood for one in ends)
+        assert (high - low) / 2e-4 == pytest.approx((found[number] - expected[number]) / 2, rel=1e-4, abs=1e-5)
 
 
 @pytest.mark.parametrize("kind", [BOARD, NETWORK])
