@@ -22,7 +22,7 @@ from metrocli.diagnosis.laws.terms import TermForm, columns_of, forms_of, powers
 from metrocli.diagnosis.linear.candidates import Candidate, CandidateGroup
 from metrocli.diagnosis.linear.column_parts import StackedColumns
 from metrocli.diagnosis.linear.columns import CandidateColumns
-from metrocli.diagnosis.linear.projection import Linearised, run_of
+from metrocli.diagnosis.linear.projection import VISIBLE, Linearised, run_of
 from metrocli.effects.acting import Acting
 from metrocli.effects.effect import Effect, Parameter
 from metrocli.frozen import dataclass
@@ -34,6 +34,9 @@ MOST_NUMBERS = 8_000_000
 """Largest number of elements of all columns"""
 _SAME = 1e-9
 """Two components of quantities act alike if their squared correlation is nearer to 1 than this"""
+_SHOWS = 1e-3
+"""Least share of a term that is visible. Its size is more than a thousand times what shows if the unknowns take more,
+and its second order, which derivatives do not have, may be as large as that"""
 _ESTIMATED = 0.5
 """Largest part of the spread of a variable that comes from corrections of listed values"""
 _SEED = 17
@@ -145,7 +148,8 @@ class Library:
         self.terms.append(tuple(terms))
         columns = CandidateColumns(len(terms), factors, tuple(parts))
         alternatives = tuple(Candidate(_EFFECT, (str(number),)) for number in range(len(terms)))
-        return CandidateGroup(kind, alternatives, columns, columns.norms(), columns.grams(self.system.basis))
+        scale = columns.norms() * (_SHOWS / VISIBLE)
+        return CandidateGroup(kind, alternatives, columns, scale, columns.grams(self.system.basis))
 
     def columns(self, term: Term) -> Array:
         """Return the whitened columns of a term, (rows, factors)."""
