@@ -4,8 +4,9 @@
     python -m benchmarks truth 60 "simulated, six-dof"    # one campaign; the other rows of the table stay
 
 Each campaign is a benchmark of its own, with a truth of its own: simulations by plain formulas that share nothing with
-the solver, effects planted into real measurements, halves of real sets, published values. Its rows enter the second
-table of docs/benchmarks.md as soon as it ends. Data of ../shared that are absent leave their rows out.
+the solver, effects planted into real measurements, halves of real sets, one board seen by four cameras, published
+values. Its rows enter the second table of docs/benchmarks.md as soon as it ends. Data of ../shared that are absent leave
+their rows out.
 """
 
 from __future__ import annotations
@@ -53,6 +54,7 @@ def campaigns(count: int) -> dict[str, list[str]]:
         "halves of several cameras": ["rigs", "halves", "20"],
         "halves of real sets": ["halves", "20", "100"],
         "one camera beside OpenCV, published network": ["references"],
+        "one board": ["one_board"],
     }
 
 

@@ -1,0 +1,105 @@
+"""One board seen by four cameras: each must find the same stretch and bend of it, within the uncertainties it states.
+
+    python -m benchmarks one_board
+
+The images come with the source of Pose2Sim 0.9.8 (BSD 3-Clause) in the package index: seven of each camera, of a board
+held by hand, 1088 x 1920 pixels. Nothing is known of the board but its squares of 60 mm, so the four cameras are the
+only witnesses, and they share no image. `stretched-targets` and `target-plane-bend` are estimated with `noise:
+structured`. The z are the differences of each camera from the weighted mean, relative to their uncertainty. A stretch
+stays; a bend may not, since the board is held by hand.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import re
+import subprocess
+import sys
+import tarfile
+import urllib.request
+from pathlib import Path
+from typing import Any
+from urllib.parse import urljoin
+
+import numpy as np
+
+from benchmarks.bars import Number
+
+INDEX, NAME = "https://pypi.org/simple/pose2sim/", "pose2sim-0.9.8.tar.gz"
+DIGEST = "1785fd249192d039a111ab93ceeee9f41c475589b1f213605044779856e43a7f"
+"""SHA-256 of the file"""
+SOURCE = "Pose2Sim/Demo_SinglePerson/calibration/intrinsics/"
+HERE = Path(__file__).parents[1] / "build" / "one_board"
+CAMERAS = ("cam01", "cam02", "cam03", "cam04")
+JOB = """metrocli: 1
+job: calibrate-camera
+rig: board
+inputs: {{images: "{camera}_*.jpg"}}
+pattern: {{type: chessboard, columns: 7, rows: 4, pitch: 60 mm}}
+noise: structured
+{effects}output: {camera}.h5
+"""
+BAND = {"least": 0.45, "most": 1.55}
+"""95 % band of the root mean square of six numbers of variance 1"""
+EFFECTS = "effects:\n- name: stretched-targets\n- name: target-plane-bend\n"
+
+
+def fetch() -> None:
+    """Fetch the images from the package index, once, and check them by their digest."""
+    if not (HERE / "cam04_07_int.jpg").exists():
+        with urllib.request.urlopen(INDEX, timeout=60) as answer:
+            page = answer.read().decode()
+        address = next(word for word in re.findall('href="([^"#]+)', page) if word.endswith(NAME))
+        with urllib.request.urlopen(urljoin(INDEX, address), timeout=300) as answer:
+            content = answer.read()
+        if hashlib.sha256(content).hexdigest() != DIGEST:
+            raise OSError(f"{address}: not the file of {DIGEST}")
+        HERE.mkdir(parents=True, exist_ok=True)
+        with tarfile.open(fileobj=io.BytesIO(content)) as archive:
+            for member in archive:
+                file = archive.extractfile(member) if SOURCE in member.name and member.name.endswith(".jpg") else None
+                if file is not None:
+                    (HERE / Path(member.name).name).write_bytes(file.read())
+
+
+def _ran(*arguments: str) -> dict[str, Any]:
+    """Return what a command prints as JSON."""
+    call = [sys.executable, "-m", "metrocli", *arguments, "--json"]
+    done = subprocess.run(call, check=True, capture_output=True, text=True, cwd=HERE)
+    answer: dict[str, Any] = json.loads(done.stdout)
+    return answer
+
+
+def main() -> int:
+    """Calibrate and diagnose each camera; print what each finds of the board, and how well they agree."""
+    try:
+        fetch()
+    except OSError as error:
+        print(f"skipped: the images cannot be fetched ({error})")
+        return 0
+    found = list[dict[str, Any]]()
+    for camera in CAMERAS:
+        (HERE / f"{camera}.yaml").write_text(JOB.format(camera=camera, effects=""))
+        (HERE / f"{camera}-board.yaml").write_text(JOB.format(camera=camera, effects=EFFECTS))
+        report = _ran("diagnose", f"{camera}.yaml", "--out", f"{camera}-extended.yaml")
+        named = [entry["name"] for entry in report["effects"]]
+        print(f"{camera}: {report['verdict']}; names: {', '.join(named) or 'none'}")
+        found.append(_ran("calibrate-camera", f"{camera}-board.yaml", "--force")["estimates"])
+    for effect, bars in (("stretched-targets", BAND), ("target-plane-bend", {})):
+        squares, freedoms = 0.0, 0
+        for name in (key for key in found[0] if key.startswith(effect)):
+            values, stds = (np.array([one[name][what] for one in found]) for what in ("value", "std"))
+            weights = stds**-2.0
+            mean = float(weights @ values / weights.sum())
+            squares += float((((values - mean) / stds) ** 2).sum())
+            freedoms += len(values) - 1
+            each = ", ".join(f"{value:.2g} \u00b1 {std:.1g}" for value, std in zip(values, stds, strict=True))
+            print(f"{name} {found[0][name]['unit']}: {each}; mean {mean:.3g} \u00b1 {weights.sum() ** -0.5:.1g}")
+        print(Number(f"{effect} by four cameras: z rms", str(freedoms), float(np.sqrt(squares / freedoms)), **bars))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
