@@ -74,7 +74,7 @@ def of_diagnosis(diagnosis: Diagnosis, extended: Extended | None, full: bool = F
             ["The job cannot be adjusted with the named effects; their sizes are one-step (linear) estimates."]
         )
     if extended is not None:
-        parts.append([f"next: run {extended.path}, {_extension(diagnosis, extended.law)}"])
+        parts.append([f"next: `metrocli {job.kind} {extended.path}`, {_extension(diagnosis, extended.law)}"])
     if diagnosis.quick:
         parts.append(["This is the first answer: what explains most. Without `--quick` the search goes on."])
     elif full:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from metrocli.diagnosis.correlated_error import CorrelatedError
 from metrocli.diagnosis.findings import Diagnosis, Finding
 from metrocli.diagnosis.linear.projection import READING
 from metrocli.diagnosis.noise import AS_OTHERS, DECLARED_SIGMA, VarianceGroup
-from metrocli.words import listed
+from metrocli.words import in_a_row, listed
 
 _SHOWN, _MOST_GROUPS = 6, 2
 LEAST_REDUCTION = 0.005
@@ -98,22 +98,31 @@ def noise_lines(diagnosis: Diagnosis) -> Iterator[str]:
             yield f"  Usual reasons: {_USUAL}."
         if noise.low > _HIGH_NOISE and noise.dof < _FEW_DOF:
             yield f"  With {noise.dof:.0f} degrees of freedom, several wrong readings may pass as noise: measure more."
-    for unit in diagnosis.variance_groups:
-        if unit.key == DECLARED_SIGMA:
-            yield f"  {_given(unit, unit.ratio * noise.ratio)}"
-        else:
-            yield f"  {noisier(unit)}, each relative to what is declared for it."
+    readings = [unit for unit in diagnosis.variance_groups if unit.key != DECLARED_SIGMA]
+    if len(readings) == 1:
+        yield f"  {noisier(readings[0])}, each relative to what is declared for it."
+    elif readings:
+        each = "; ".join(f"{_named(unit)} {unit.ratio:.2g}" for unit in readings)
+        yield f"  Times as noisy as the others, each relative to what is declared for it: {each}."
+    yield from _given([unit for unit in diagnosis.variance_groups if unit.key == DECLARED_SIGMA], noise.ratio)
+
+
+def _named(unit: VarianceGroup) -> str:
+    return unit.name if unit.key == READING else f"{unit.key} {unit.name}"
 
 
 def noisier(unit: VarianceGroup) -> str:
     """Return in words that a unit is noisier, or quieter, than the others, relative to what is declared for each."""
-    name = unit.name if unit.key == READING else f"{unit.key} {unit.name}"
-    return f"{name} is {unit.ratio:.2g} times as noisy as the others"
+    return f"{_named(unit)} is {unit.ratio:.2g} times as noisy as the others"
 
 
-def _given(unit: VarianceGroup, ratio: float) -> str:
-    """Return whether the residuals agree with the sigma of given values; `ratio` is that of their noise to it."""
-    what = f"The given values of each {unit.name.removeprefix('prior of ')}"
-    if 1 / AS_OTHERS < ratio < AS_OTHERS:
-        return f"{what} agree with their sigma; the ratio is that of the readings alone."
-    return f"{what} are off by {ratio:.2g} times their sigma: correct the sigma."
+def _given(units: Sequence[VarianceGroup], noise: float) -> Iterator[str]:
+    """Yield whether the residuals agree with the sigma of given values; `noise` is the ratio of that of the others."""
+    right = [unit for unit in units if 1 / AS_OTHERS < unit.ratio * noise < AS_OTHERS]
+    if right:
+        kinds = in_a_row([unit.name.removeprefix("prior of ") for unit in right])
+        yield f"  The given values of each {kinds} agree with their sigma; the ratio is that of the readings alone."
+    for unit in units:
+        if unit not in right:
+            what = f"The given values of each {unit.name.removeprefix('prior of ')}"
+            yield f"  {what} are off by {unit.ratio * noise:.2g} times their sigma: correct the sigma."
