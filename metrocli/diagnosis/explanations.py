@@ -16,7 +16,7 @@ from metrocli.diagnosis.evidence.measurement import LENGTHS
 from metrocli.diagnosis.evidence.moves import effects
 from metrocli.diagnosis.evidence.parts import CORRELATED, EFFECT, SCATTER, Fixed, Random
 from metrocli.diagnosis.evidence.state import State
-from metrocli.diagnosis.evidence.weights import ratios_in
+from metrocli.diagnosis.evidence.weights import tried_noise
 from metrocli.diagnosis.extended_fit import readings_kept, result_change, with_random_effect
 from metrocli.diagnosis.findings import Instead, RandomEffect, Unconfirmed
 from metrocli.diagnosis.linear.projection import READING
@@ -66,7 +66,7 @@ def _as_likely(state: State, less: State) -> tuple[Instead, ...]:
     candidates = []
     for number, (key, name, _) in enumerate(state.measurement.units):
         if key == READING and number not in state.measurement.noise:
-            ahead = ratios_in(less, {number: less.ratio_of(number)})[0] - state.score
+            ahead = tried_noise(less, {number: less.ratio_of(number)}).score - state.score
             if ahead > -AS_LIKELY:
                 candidates.append(Instead("noise", {READING: name}, float(np.exp(min(ahead, 700.0)))))
     return tuple(candidates)
@@ -82,7 +82,7 @@ def noise_instead(state: State, part: Fixed) -> tuple[Instead, ...]:
     for number, (key, name, rows) in enumerate(m.units):
         if where.get(key) == name and rows.sum() <= _MOST_ROWS * part.rank and number not in m.noise:
             less = state.minus([part])
-            ahead = ratios_in(less, {number: max(less.ratio_of(number), AS_OTHERS)})[0] - state.score
+            ahead = tried_noise(less, {number: max(less.ratio_of(number), AS_OTHERS)}).score - state.score
             if ahead > -_OF_A_PLACE:
                 noises.append(Instead("noise", {key: name}, float(np.exp(min(ahead, 700.0)))))
     return tuple(noises)

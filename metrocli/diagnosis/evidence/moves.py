@@ -14,7 +14,7 @@ from metrocli.adjust.robust import SAME
 from metrocli.diagnosis.evidence.parts import CORRELATED, EFFECT, SCATTER, Fixed, Random
 from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.evidence.variances import Found, correlated_errors, noisier_groups, scattered_effects
-from metrocli.diagnosis.evidence.weights import ratios_in, with_noise
+from metrocli.diagnosis.evidence.weights import tried_noise, with_noise
 from metrocli.diagnosis.linear.projection import MOST_NUMBERS, READING
 from metrocli.diagnosis.linear.quadratics import quadratic
 from metrocli.diagnosis.noise import AS_OTHERS, DECLARED_SIGMA
@@ -29,6 +29,8 @@ _APART = 0.3
 """Largest correlation of wrong readings that are taken in one step"""
 _ESTIMATES, _STAYS = 8, 1.03
 """Largest number of estimates of the noise of a group, and the ratio of two that ends them"""
+_SHRINKS = 0.7
+"""Largest factor by which steps of estimates are taken to shrink"""
 _NEARLY_NOISIER = AS_OTHERS**0.5
 """Ratio from which a group is watched: beside those that enter, the noise of the others is smaller"""
 _STALE = 2.0
@@ -99,15 +101,32 @@ class Move:
 
 
 def _settled(state: State, noise: Mapping[int, float], watched: Sequence[int]) -> tuple[float, dict[int, float]]:
-    """Return the score with the noise of variance groups, estimated until it stays, and their ratios."""
-    best, held, tried = state.score if state.measurement.noise else -np.inf, dict[int, float](), dict(noise)
+    """Return the score with the noise of variance groups, estimated until it stays, and their ratios.
+
+    Groups that have a noise of their own already are estimated with them: it was that beside quieter ones.
+    """
+    best = state.score if state.measurement.noise else -np.inf
+    held, before, tried = (
+        dict[int, float](),
+        dict[int, float](),
+        {**dict.fromkeys(state.measurement.noise, 1.0), **noise},
+    )
+    logs = state.logs
     for _ in range(_ESTIMATES):
-        score, after, others = ratios_in(state, tried, [number for number in watched if number not in tried])
-        if score < best:
+        trial = tried_noise(state, tried, [number for number in watched if number not in tried], logs)
+        if trial.score < best:
             break
-        best, held, tried = score, tried, after | others
-        if not others and all(1 / _STAYS < tried[number] / ratio < _STAYS for number, ratio in held.items()):
+        change = {number: float(np.log(trial.ratios[number] / ratio)) for number, ratio in tried.items()}
+        best, held, logs = trial.score, tried, trial.logs
+        if not trial.others and all(abs(step) < np.log(_STAYS) for step in change.values()):
             break
+        # steps shrink by a factor, as the readings of a group also determine what is subtracted from them: all at once
+        shrunk = {number: step / before[number] if before.get(number) else 0.0 for number, step in change.items()}
+        tried = {
+            number: ratio * float(np.exp(change[number] / (1 - np.clip(shrunk[number], 0.0, _SHRINKS))))
+            for number, ratio in tried.items()
+        } | trial.others
+        before = change
     return best, held
 
 

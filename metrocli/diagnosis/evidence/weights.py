@@ -20,6 +20,7 @@ from metrocli.diagnosis.linear.basis import squared
 from metrocli.diagnosis.linear.candidates import CandidateGroup
 from metrocli.diagnosis.linear.projection import Linearised
 from metrocli.diagnosis.noise import AS_OTHERS
+from metrocli.frozen import dataclass
 
 _ROUNDING = 1e-9
 
@@ -41,13 +42,26 @@ def with_noise(measurement: Measurement, ratios: Mapping[int, float]) -> Measure
     )
 
 
-def ratios_in(
-    state: State, ratios: Mapping[int, float], watched: Sequence[int] = ()
-) -> tuple[float, dict[int, float], dict[int, float]]:
-    """Return the score of a state whose variance groups have other noise, and their ratios to the noise after that.
+@dataclass(frozen=True)
+class NoiseTrial:
+    """A state whose variance groups have other noise."""
 
-    Last are the ratios of those that are watched and have a noise of their own beside these. Its parts are those of
-    the state, with other weights: candidates are not looked at. Only the rows of these groups are computed anew.
+    score: float
+    ratios: dict[int, float]
+    """Ratio of the noise that is found then for each group to that before"""
+    others: dict[int, float]
+    """Ratios of groups that are watched and have a noise of their own beside these"""
+    logs: Array
+    """ln of the variances of its random parts"""
+
+
+def tried_noise(
+    state: State, ratios: Mapping[int, float], watched: Sequence[int] = (), logs: Array | None = None
+) -> NoiseTrial:
+    """Return a state with other noise of some variance groups, so many times as large, and what is found of it then.
+
+    Its parts are those of the state, with other weights: candidates are not looked at. Only the rows of these groups
+    are computed anew. The sizes of random parts are sought from `logs` on, or those of the state.
     """
     m = state.measurement
     factor, looked_at = _factor(m, ratios), np.zeros(m.system.rows, dtype=bool)
@@ -56,7 +70,8 @@ def ratios_in(
     rows = np.flatnonzero(looked_at)
     other = Reweighted.of(state, rows, factor[rows])
     own = replace(m, noise=_noise_after(m, ratios), log_scale=m.log_scale + other.log_scale)
-    fit = likeliest(other.products, state.logs, np.array([part.most for part in state.random]))
+    most = np.array([part.most for part in state.random])
+    fit = likeliest(other.products, state.logs if logs is None else logs, most)
     after = State(own, state.fixed, state.random, fit)
     absorbed, residual = other.left(fit)
     found, others = dict[int, float](), dict[int, float]()
@@ -68,7 +83,7 @@ def ratios_in(
             found[number] = ratios[number] * ratio
         elif gain > m.price_of_noise and ratio > AS_OTHERS:
             others[number] = ratio
-    return after.score, found, others
+    return NoiseTrial(after.score, found, others, fit.logs)
 
 
 def _factor(measurement: Measurement, ratios: Mapping[int, float]) -> Array:

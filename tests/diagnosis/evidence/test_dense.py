@@ -21,7 +21,7 @@ from metrocli.diagnosis.evidence.prices import gain_of_columns
 from metrocli.diagnosis.evidence.products import local_columns
 from metrocli.diagnosis.evidence.refined import _with_alternative
 from metrocli.diagnosis.evidence.state import State
-from metrocli.diagnosis.evidence.weights import ratios_in, with_noise
+from metrocli.diagnosis.evidence.weights import tried_noise, with_noise
 from metrocli.diagnosis.extended_fit import with_random_effect
 from metrocli.diagnosis.noise import DECLARED_SIGMA
 
@@ -140,14 +140,14 @@ def test_noise_on_trial_is_that_of_the_measurement_with_it(kind: str, count: int
     """Computed from the rows of the groups alone, with an error of each image and without."""
     m, (fixed, random, logs) = measurement(kind), parts(kind)
     state = State.of(m, fixed, random[:count], logs[:count])
-    score, ratios, watched = ratios_in(state, {0: 1.7, 2: 0.6}, [1])
+    trial = tried_noise(state, {0: 1.7, 2: 0.6}, [1])
     weighted = state.at(with_noise(m, {0: 1.7, 2: 0.6}))
-    assert score == pytest.approx(weighted.score, abs=1e-6)
-    assert ratios[0] == pytest.approx(1.7 * weighted.ratio_of(0), rel=1e-6)
-    assert ratios[2] == pytest.approx(0.6 * weighted.ratio_of(2), rel=1e-6)
-    assert not watched
+    assert trial.score == pytest.approx(weighted.score, abs=1e-6)
+    assert trial.ratios[0] == pytest.approx(1.7 * weighted.ratio_of(0), rel=1e-6)
+    assert trial.ratios[2] == pytest.approx(0.6 * weighted.ratio_of(2), rel=1e-6)
+    assert not trial.others
     spoilt = replace(m, system=replace(m.system, residual=m.system.seen(m.system.residual * (1 + 3 * m.units[1][2]))))
-    assert set(ratios_in(State.of(spoilt, fixed), {0: 1.1}, [1, 3])[2]) == {1}
+    assert set(tried_noise(State.of(spoilt, fixed), {0: 1.1}, [1, 3]).others) == {1}
 
 
 def test_noise_of_prior_values_beside_errors_of_each_image() -> None:
@@ -162,9 +162,9 @@ def test_noise_of_prior_values_beside_errors_of_each_image() -> None:
     assert (m.system.basis.member[m.units[number][2]] < 0).all()
     state = State.of(m, [], [m.correlated(number_of(m, "place in the image", "image"), 1 / 4, -1)], [0.3])
     weighted = state.at(with_noise(m, {number: 1.7, 0: 1.4}))
-    score, ratios, _ = ratios_in(state, {number: 1.7, 0: 1.4})
-    assert score == pytest.approx(weighted.score, abs=1e-6)
-    assert ratios[number] == pytest.approx(1.7 * weighted.ratio_of(number), rel=1e-6)
+    trial = tried_noise(state, {number: 1.7, 0: 1.4})
+    assert trial.score == pytest.approx(weighted.score, abs=1e-6)
+    assert trial.ratios[number] == pytest.approx(1.7 * weighted.ratio_of(number), rel=1e-6)
 
 
 def test_a_refined_value_is_known_without_the_weights_too() -> None:
