@@ -93,7 +93,8 @@ def _observations(lines: TextLines) -> Imported:
     network = _network(seen, away)
     unknown = [one for one in seen if one.relative and one.ends not in away]
     hint = "write the standard deviation of this line in sigma, and 0 in sigma_rel"
-    faults += [lines.fault("sigma_rel needs a distance between the points", one.line, hint) for one in unknown]
+    why = "sigma_rel multiplies a distance, and the file has none between these points"
+    faults += [lines.fault(why, one.line, hint) for one in unknown]
     if faults:
         raise InputError(shortened(faults))
     return survey_of(lines, network, "comp3d", [f"{idle} deactivated observations are left out"] * bool(idle))

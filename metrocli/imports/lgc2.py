@@ -94,7 +94,7 @@ class _NetworkFile:
     def _keyword(self, number: int, key: str, words: list[str]) -> None:
         self.begun |= key == "*INSTR"
         if key in _ELLIPSOIDS:
-            self.notes.append(f"{key}: plumb lines are taken as parallel, and heights as z")
+            self.notes.append(f"{key}: metrocli takes plumb lines as parallel, and heights as z")
         if not self.begun or key in ("*INSTR", "*END", "*FIN"):
             self.section = ""
         elif key == "*POLAR" and len(words) > 4 and all(map(is_number, words[2:5])):

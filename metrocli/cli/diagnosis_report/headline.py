@@ -93,7 +93,7 @@ def noise_lines(diagnosis: Diagnosis) -> Iterator[str]:
         yield f"noise: as declared{others} ({interval} times {declared or 'it'})"
     else:
         yield f"noise: {interval} times the declared noise{f' ({declared})' if declared else ''}"
-        yield f"  The result's standard uncertainties are for the declared noise; {_REAL} take the real."
+        yield f"  The result's standard uncertainties are for the declared noise; {_REAL} use the noise that was found."
         if noise.low > 1:
             yield f"  Usual reasons: {_USUAL}."
         if noise.low > _HIGH_NOISE and noise.dof < _FEW_DOF:

@@ -28,9 +28,8 @@ _MOST = 4e9
 """Most memory that a diagnosis takes, wherever it runs [bytes]"""
 _FIXED = 0.3e9
 """What it takes for few readings: noise that is drawn, samples, modules [bytes]"""
-_COPIES = 14
-"""Times that the derivatives by the shared unknowns are held at once, and candidates beside their own making"""
-_HELD = 8.75
+_COPIES, _HELD = 14, 8.75
+"""How many copies of the derivatives by the shared unknowns, and of the columns of candidates, are held at once"""
 _FEWEST = 200
 """Fewest members of a part: of fewer, what they show would depend on which were drawn"""
 _SEED = 22
@@ -111,7 +110,7 @@ def _some(values: npt.NDArray[Any], kept: Mask | None) -> npt.NDArray[Any]:
 
 
 def needed(job: AdjustedJob) -> float:
-    """Return the memory that a diagnosis takes at its largest, `f + 8 n (4 u + 2.5 k)` [bytes].
+    """Return the memory that a diagnosis takes at its largest, `f + 8 n (14 u + 8.75 k)` [bytes].
 
     n are the rows, u the shared unknowns, k the columns of candidates that change a row; f is for few readings. The
     factors are those of measured networks of 10,000 and 100,000 points.

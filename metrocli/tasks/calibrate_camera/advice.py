@@ -90,12 +90,14 @@ def _advice(problem: CameraProblem, solution: Solution) -> list[str]:
             "(metrocli calibrate-camera --compare shows which help)",
         ]
     if columns & {"cx", "cy"}:
-        return ["  what would determine it: tilted views, and the camera turned by 90 degrees about its viewing axis"]
+        return [
+            "  what would determine it: a tilted target, and the camera turned by 90 degrees about its viewing axis"
+        ]
     if solution.outcome is Outcome.TOO_FEW:
-        return ["  what would determine it: more views, more targets, or fewer parameters in camera.estimate"]
+        return ["  what would determine it: more images, more targets, or fewer parameters in `camera: estimate`"]
     return [
-        "  what would determine it: more views from different directions and distances, "
-        "or fewer parameters in camera.estimate"
+        "  what would determine it: more images from different directions and distances, "
+        "or fewer parameters in `camera: estimate`"
     ]
 
 

@@ -59,9 +59,8 @@ class PrincipalPoint:
         if not far.any():
             return []
         crossed = np.abs(self.found - middle[::-1]) - _CERTAIN * self.std <= _FAR * np.array(self.image_size)
-        check = (
-            "are the columns u and v exchanged?" if crossed.all() else "check image_size, from which coverage follows"
-        )
+        size = "check image_size: the coverage is computed from it"
+        check = "are the columns u and v exchanged?" if crossed.all() else size
         return [
             f"the principal point {_point(self.found)} px lies far from the middle {_point(middle)} px of an "
             f"image of {self.image_size[0]} x {self.image_size[1]} px: {check}"

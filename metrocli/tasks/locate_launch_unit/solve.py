@@ -188,9 +188,9 @@ def _refuse_mirrored(readings: AlignedPoses, noise: LaunchUnitNoise) -> None:
     behind = [name for name, along in zip(readings.names, ahead, strict=True) if along <= 0]
     if behind:
         raise InputError(
-            f"the receiver points away from the unit in {len(behind)} of {len(ahead)} poses: {listed(behind)}; the "
-            "beams meet behind it (the mirror solution). phi3, phi4 must describe the direction from the receiver "
-            "to the launch unit: there phi3 has the other sign and phi4 differs by 180 degrees"
+            f"in {len(behind)} of {len(ahead)} poses the receiver points away from the unit: {listed(behind)}\n"
+            "give phi3, phi4 of the direction from the receiver to the unit: reverse the sign of phi3 and turn phi4 by "
+            "180 degrees"
         )
 
 
