@@ -32,6 +32,7 @@ class LensOfEach(OfBlock):
         n, size = o.count, local.blocks[self.block].size
         uv, by_point, by_lens = np.empty((2, n)), np.zeros((2, 3, n)), np.zeros((2, size, n))
         for lens in dict.fromkeys(self.lenses[number] for number in taken):
+            # by equality: cameras of one convention share their link and are taken together
             mine = np.isin(camera, [number for number in taken if self.lenses[number] == lens])
             own = Observations(o.readings[:, mine], o.sigma[:, mine], {self.block: member[mine]})
             step = lens.step(value[:, mine], LinkContext(local.blocks, own, local.wanted))
