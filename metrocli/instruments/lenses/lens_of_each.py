@@ -25,6 +25,7 @@ class LensOfEach(OfBlock):
 
     def step(self, value: Array, local: LinkContext) -> Step:
         """Return (u, v) [px] (2, n), with derivatives by the point (2, 3, n) and the parameters (2, size, n)."""
+        # not by the member of the lens: an effect may have given each reading its own (docs/decisions/259)
         camera, member, o = local.index(self.by), local.index(self.block), local.observations
         taken: list[int] = np.unique(camera).tolist()
         if len({self.lenses[number] for number in taken}) == 1:
