@@ -46,6 +46,7 @@ def faults(table: Table, columns: Columns) -> list[Fault]:
         return []
     readings = row_hashes(table, measured)
     rows = row_hashes(table, [name for name in (*columns.alike, *measured) if name in table])
+    # of the readings alone: rows of other points or images with the same reading are chance as well
     alike = _share_alike(readings)
     if alike > _MOST_ALIKE:
         return []
@@ -73,6 +74,7 @@ def row_hashes(table: Table, names: Sequence[str]) -> Hashes:
     rows = np.zeros(len(table), dtype=np.uint64)
     for name in names:
         if name in table:
+            # without it, (x, y) and (-x, -y) have one hash: their sign bits cancel
             rows = _mixed(rows * _ODD + _codes(table.columns[name]))
     return rows
 
@@ -119,6 +121,7 @@ def _groups(table: Table, columns: Columns, rows: Hashes, least: int, alike: flo
         label = _mixed(label * _ODD + _codes(part))
     _, first, group, counts = np.unique(label, return_index=True, return_inverse=True, return_counts=True)
     sums = np.zeros(len(counts), dtype=np.uint64)
+    # a sum, so that a copy with its rows in another order counts; mixed, since sums of like numbers are alike
     np.add.at(sums, group.ravel(), _mixed(rows))
     large = np.flatnonzero(counts >= max(least, _by_chance(len(counts), alike)))
     _, which, times = np.unique(sums[large], return_inverse=True, return_counts=True)
@@ -143,12 +146,14 @@ def first_run(rows: Hashes, least: int) -> Copy | None:
         return None
     window = np.zeros(n - least + 1, dtype=np.uint64)
     for k in range(least):
+        # a hash that depends on the order: here a run has to repeat row by row
         window = window * _ODD + values[k : k + len(window)]
     ordered = np.sort(window)
     if (ordered[1:] != ordered[:-1]).all():  # as nearly always; to number them takes ten times as long
         return None
     _, first, inverse = np.unique(window, return_index=True, return_inverse=True)
     start = first[inverse.ravel()]
+    # copies do not overlap: a reading that oscillates repeats itself one period later
     again = np.flatnonzero(np.arange(len(window)) - start >= least)
     if not again.size:
         return None

@@ -60,6 +60,7 @@ def adjust(
     descent = Descent(problem, state, control.covariance)
     lost = Solution(Outcome.NO_START, state, tuple(groups), float("inf"), 0, unknowns)
     if not np.isfinite(descent.cost):
+        # a start from which nothing can be predicted is often that of too few readings, which is the better message
         few = lost.observations < unknowns - len(datum.names if datum else ())
         return replace(lost, outcome=Outcome.TOO_FEW) if few else lost
     outcome = Outcome.ITERATION_LIMIT if control.limit else Outcome.CONVERGED
@@ -68,6 +69,7 @@ def adjust(
         take()
         iterations += 1
         outcome = descent.step(small, iterations == control.limit)
+    # without a covariance the values are a start for another adjustment, which has a datum of its own
     if datum is not None and control.covariance and iterations and outcome is Outcome.CONVERGED:
         outcome = descent.restore_datum(small)
     solution = replace(lost, outcome=outcome, blocks=descent.state, cost=descent.cost, iterations=iterations)
@@ -85,6 +87,7 @@ def _with_covariance(solution: Solution, problem: IteratedSystem, normals: Norma
         matrix = normals.reduced()[0]
         frame = problem.frame(blocks, matrix, normals.diagonal)
     except np.linalg.LinAlgError:
+        # nan in the place of the matrix: the members that are singular are named first, and need no reduced system
         matrix, frame = np.full((layout.width, layout.width), np.nan), None
     conditions = frame.reduced.shape[1] if frame else 0
     counted = replace(solution, conditions=conditions)
@@ -92,6 +95,7 @@ def _with_covariance(solution: Solution, problem: IteratedSystem, normals: Norma
     stiff = held(matrix, frame, normals.diagonal)
     combinations: tuple[Combination, ...] = open_combinations(blocks, layout, normals, stiff)
     if combinations:
+        # too few readings leave combinations open too; their number is the plainer cause
         few = counted.dof < 0
         return replace(counted, outcome=Outcome.TOO_FEW if few else Outcome.UNDETERMINED, undetermined=combinations)
     if counted.dof < 0:
@@ -99,11 +103,13 @@ def _with_covariance(solution: Solution, problem: IteratedSystem, normals: Norma
     inverse = cholesky_solve(stiff, np.eye(layout.width)) if layout.width else np.zeros((0, 0))
     gauge = None
     if frame is not None and frame.datum.block == layout.eliminated:
+        # the S-transformation needs the datum's members in the reduced system, and they have been eliminated
         inverse = _in_eliminated_datum(frame, normals, inverse)
         gauge = Gauge(frame, blocks[frame.datum.block])
     elif frame is not None:
         transform = frame.transform(layout)
         inverse = transform @ inverse @ transform.T
+    # the products round differently on either side, and later Cholesky factors read one triangle only
     symmetric = (inverse + inverse.T) / 2
     members = MemberCovariance(normals.shape, normals.parts, problem.tiling.tiles, symmetric, gauge)
     return replace(counted, covariance=Covariance(layout, shapes_of(blocks), symmetric, members))

@@ -8,6 +8,7 @@ from contextvars import ContextVar
 
 from metrocli.errors import NotConvergedError
 
+# a context variable and not an argument: adjustments that count are deep below the try that allows them
 _LEFT: ContextVar[int | None] = ContextVar("steps left", default=None)
 
 

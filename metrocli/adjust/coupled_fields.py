@@ -206,15 +206,19 @@ def adjust_fields(fields: Fields, design: FieldDesign | None = None) -> FieldSol
     linears = _linears(fields, state)
     cost = sum(linear.cost for linear in linears)
     outcome, iterations = Outcome.ITERATION_LIMIT, 0
+    # square of 1e-6 standard deviations for each unknown, as the tolerance of `StoppingRule`
     small = 1e-12 * design.partition.width
     while iterations < _LIMIT:
         iterations += 1
         downhill = gradient(linears, design.partition)
         step = design.solve(downhill)
+        # a step along Z changes no reading, so that the conditions are restored at no cost, to first order
         restoring = design.null @ (design.constraint @ design.partition.values_of(state))
         fall = float(downhill @ step)
         trial = _tried(fields, state, (step - restoring, design), cost)
         if trial is None:
+            # at the minimum no step lowers the sum, and what it predicts is
+            # rounding; a fall that is larger was not found
             outcome = Outcome.CONVERGED if fall <= 1e-6 * design.partition.width else Outcome.DIVERGED
             break
         state, linears, cost = trial
@@ -263,6 +267,7 @@ def _conditions(fields: Fields, parts: Partition) -> Array:
     for name, factors in fields.conditions.items():
         columns = parts.columns[name]
         rows[:, columns[columns >= 0]] = factors[:, columns >= 0]
+    # rows of unit length: conditions in mm and in rad have one bound on their singular values in `_constraint`
     return np.asarray(rows / np.maximum(np.linalg.norm(rows, axis=1, keepdims=True), 1e-300))
 
 
@@ -275,6 +280,7 @@ def _constraint(conditions: Array, null: Array) -> Array:
         return np.zeros((0, len(null)))
     seen = conditions @ null
     _, sizes, mix = np.linalg.svd(seen)
+    # what the conditions do not see of the open directions, which the least sum of squares has to fix
     free = mix[int((sizes > 1e-7 * max(sizes.max(initial=0.0), 1e-300)).sum()) :]
     inverse = np.linalg.pinv(np.concatenate([seen, free @ (null.T @ null)]))
     count = len(conditions)

@@ -57,6 +57,7 @@ def turning(datum: Datum, block: Block) -> Datum:
         return datum
     own = datum.movements[datum.block]
     matrix = np.zeros((len(own.matrix), block.size, block.size))
+    # a vector turns and scales as points do, but shifts leave it as it is
     matrix[:, :3, :3] = own.matrix[:, :3, :3]
     return replace(datum, movements={**datum.movements, block.name: Affine(matrix, np.zeros(matrix.shape[:2]))})
 
@@ -150,6 +151,7 @@ def _amounts(datum: Datum, block: Block, reference: Movement, moves: Movement) -
 
     Raises LinAlgError if the members of the datum do not fix every open movement.
     """
+    # a fixed entry of a datum's member cannot take part in restoring the datum
     seen = datum.members if block.all_free else datum.members[:, None] * block.free
     product = reference.gram(datum.reference, moves, block.values, seen)
     own = np.diag(reference.gram(datum.reference, reference, datum.reference, datum.members**2))

@@ -37,11 +37,13 @@ def pivoted_qr(matrix: Array) -> tuple[Array, Array, Index]:
     m, n = matrix.shape
     q, r, order = np.eye(m), np.array(matrix, dtype=float), np.arange(n)
     for k in range(min(m, n)):
+        # lengths anew at each step and not updated: updates cancel where columns are nearly dependent
         chosen = k + int((r[k:, k:] ** 2).sum(axis=0).argmax())
         r[:, [k, chosen]], order[[k, chosen]] = r[:, [chosen, k]], order[[chosen, k]]
         mirror = r[k:, k].copy()
         if not mirror[1:].any():  # LAPACK does not mirror such a column
             continue
+        # the sign of the entry itself, so that the sum does not cancel
         mirror[0] += np.copysign(np.linalg.norm(mirror), mirror[0])
         mirror *= np.sqrt(2) / np.linalg.norm(mirror)
         r[k:, k:] -= np.outer(mirror, mirror @ r[k:, k:])

@@ -91,11 +91,13 @@ def least_square(group: Group, blocks: Mapping[str, Block]) -> float:
     bound that always holds, where the readings are not twice as many as the unknowns, or where the steps do not settle.
     """
     unknowns = unknowns_of(blocks, [name for name in group.chain.blocks if blocks[name].free.any()])
+    # fewer readings fit almost anything, so that a small sum would prove nothing
     if group.observations.readings.size < 2 * unknowns.size:
         return 0.0
     state, residual = dict(blocks), _whitened(group, blocks)
     for _ in range(_STEPS):
         design = rows(group, state, unknowns).reshape(-1, unknowns.size)
+        # columns of length 1, so that one bound on the singular values serves unknowns of any unit
         size = np.maximum(np.linalg.norm(design, axis=0), 1e-300)
         u, values, vt = thin_svd(design / size)
         seen = values > _UNSEEN * values[0]
@@ -107,6 +109,7 @@ def least_square(group: Group, blocks: Mapping[str, Block]) -> float:
             for name in state
         }
         residual = _whitened(group, state)
+        # `left` is the least sum of the linear model: where the true sum agrees, the model holds as far as there
         if abs(float(residual @ residual) - left) <= _AS_PREDICTED * left:
             return left
     return 0.0

@@ -33,6 +33,7 @@ _RESTORED, _IN_DATUM = 20, 1e-7
 """Rounds that bring values into the datum at most, and how far they may be off it, in the extent of its members"""
 _NOTHING = 1e-10
 """Share of the diagonal of the normal matrix below which its reduction leaves nothing"""
+# from a damping that leaves a sound step as it is to one whose step is 1e-8 of the gradient's: both ends are beyond use
 _DAMPING_START, _DAMPING_END, _DAMPING_LIMIT = 1e-9, 1e-11, 1e8
 
 
@@ -97,11 +98,15 @@ class Descent:
                 continue
             if self._stands(moved, fall, small):
                 return Outcome.CONVERGED
+            # `fall` is the square of the step's length in standard deviations, so
+            # it is compared with a squared tolerance
             short = fall <= small + _ROUNDING * self.cost
             last = short or self._contracts(fall, small)
             self.normals = None
             normals = self.problem.normals(moved) if self.wanted or not (last or final) else None
             cost = normals.cost if normals else self.problem.cost(moved)
+            # a last step may end above by what rounding leaves in the sum: else an adjustment
+            # at its solution would be damped for ever
             if cost <= self.cost or (last and cost <= self.cost + small + self._rounding()):
                 # a strongly damped step is short however far the end is, so its length does not show that it is near
                 done = last and self.damping <= 1e-4
@@ -218,6 +223,7 @@ def held(matrix: Array, frame: Frame | None, diagonal: Array) -> Array:
 def cholesky_solve(matrix: Array, right: Array) -> Array:
     if not (np.isfinite(matrix).all() and np.isfinite(right).all()):
         raise np.linalg.LinAlgError("the normal equations have entries that are no numbers")
+    # unknowns in mm and 1/s have diagonals that differ by many digits: balanced, pivots are compared with 1
     scale = 1 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
     balanced, scaled = matrix * scale[:, None] * scale, (right.T * scale).T
     # loading scipy takes longer than solving as few unknowns as these (docs/decisions/154-loaded-where-used.md)
@@ -237,6 +243,7 @@ def _moved(
 ) -> dict[str, Block]:
     layout = problem.layout
     moved = dict(state)
+    # fixed entries have column -1: they read entry 0 and get a step of 0
     steps = {
         name: np.where(columns >= 0, step_r[np.maximum(columns, 0)], 0.0) for name, columns in layout.columns.items()
     }

@@ -58,6 +58,7 @@ class Affine:
 
     def dot(self, values: Array, change: Array) -> Array:
         """Return `E' change`, (f,)."""
+        # sums of `v v'` and `v` are all that an affine movement needs, so memory does not grow with the freedoms
         moments = np.column_stack([change.T @ values, np.ones(len(change)) @ change])
         return np.asarray(np.tensordot(self._columns(), moments, 2))
 
@@ -83,9 +84,11 @@ class Affine:
 
 def _moments(values: Array, others: Array, weights: Array) -> Array:
     """Return `sum w (v, 1) (v', 1)'` over the members, (size + 1, size' + 1)."""
+    # most datums weight all members alike: the copy of all values is spared
     weighted = values if (weights == 1).all() else values * weights[:, None]
     moments = np.empty((values.shape[1] + 1, others.shape[1] + 1))
     moments[:-1, :-1], moments[-1, -1] = weighted.T @ others, weights.sum()
+    # a product with ones sums faster than `sum(axis=0)` of a long, narrow array
     moments[:-1, -1], moments[-1, :-1] = np.ones(len(weighted)) @ weighted, weights @ others
     return moments
 
@@ -136,5 +139,6 @@ def of_members(size: int, points: Affine, turns: slice | None = None) -> Affine:
     matrix, shift = np.zeros((f, size, size)), np.zeros((f, size))
     matrix[:, :3, :3], shift[:, :3] = points.matrix, points.shift
     if turns is not None:
+        # a left rotation adds to the rotation vector of a member as it is, wherever the member lies
         shift[3:6, turns] = np.eye(3)
     return Affine(matrix, shift)

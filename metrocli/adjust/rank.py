@@ -41,6 +41,7 @@ def open_combinations(
     values, vectors = np.linalg.eigh(np.nan_to_num(scaled))
     combinations = []
     for value, vector in zip(values, vectors.T, strict=True):
+        # where eigenvalues span 14 digits those above 1 can be rounding as well, and a direction of rounding is open
         if value < max(1.0, _ROUNDING * values[-1]):
             combinations.append(_combination(blocks, layout, vector * reach, normals, value))
     return tuple(combinations)
@@ -114,6 +115,7 @@ def _all_determined(part: EliminatedMembers, reach: Array) -> bool:
     except np.linalg.LinAlgError:
         return False
     traces = np.einsum("mii,mi->m", inverse, 1 / reach**2)
+    # a negative variance is the mark of a matrix that rounding has made indefinite: then its trace proves nothing
     return bool((traces < 1).all() and (np.einsum("mii->mi", inverse) >= 0).all())
 
 
@@ -146,6 +148,7 @@ def _named(block: Block, shares: Array) -> list[tuple[str, str, str, float]]:
             continue
         members = ""
         if len(block.members) > 1:
+            # "all images" is truer than a list of most of them, whose few others lie just below the share
             if len(taking) > 0.7 * len(block.members):
                 members = f"all {block.noun}s".strip()
             else:
@@ -159,4 +162,5 @@ def _named(block: Block, shares: Array) -> list[tuple[str, str, str, float]]:
 
 def _spread(value: float) -> float:
     """Return the standard uncertainty along an eigenvector, from its eigenvalue."""
+    # beyond 3e4 times what is plausible a number means nothing
     return float(1 / np.sqrt(value)) if value > 1e-9 else float("inf")

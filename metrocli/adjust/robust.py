@@ -24,6 +24,8 @@ from metrocli.frozen import dataclass
 
 _MAD = 1.4826
 """Standard deviation of a normal sample divided by its median absolute deviation"""
+# far above what chance gives in any sample (a normal one of a million reaches 5): a robust start costs steps that a
+# sound job should not pay
 _GROSS = 8.0
 """Residuals beyond this many robust standard deviations call for a robust start"""
 _TUKEY = 4.685
@@ -32,6 +34,7 @@ _POWER_80 = 0.8416212335729143
 """Normal quantile of a power of 80 %"""
 _CONTROLLED = 1e-6
 """Redundancy below which a reading is uncontrolled"""
+# exp(6 / 2) = 20: half of the difference of squared tests is that of the logarithms of the likelihoods
 _ODDS = 6.0
 """Difference of two squared tests below which the odds are under e^3 = 20 to 1"""
 SAME = 0.99
@@ -63,6 +66,7 @@ def robust_start(
         return {group.name: _share(group, state, within) for group in chosen}
 
     held = _reweighted(groups, {name: _least_absolute(share) for name, share in shares().items()})
+    # few steps: the weights belong to the start, and are wrong as soon as the values have left it
     first = adjust(state.values(), held, datum, StoppingRule(limit=15, covariance=False))
     state = first.blocks
     # with one scale for all: a member that is lost as a whole hides behind its own
@@ -101,10 +105,12 @@ def _reweighted(groups: Sequence[Group], weights: Mapping[str, Array | None]) ->
 def _share(group: Group, blocks: Mapping[str, Block], within: str = "") -> Array:
     """Return each residual's length in robust standard deviations: those of its member, if they are larger."""
     distance = _distances(group, blocks)
+    # not 0: readings without noise, as simulated ones, have residuals of rounding only, and all of them would be gross
     scale = max(float(_MAD * median(distance)) if distance.size else 0.0, 1e-12)
     index = group.observations.index.get(within)
     if index is None:
         return np.asarray(distance / scale, dtype=float)
+    # the larger of both: a member that fits better than the others must not make outliers of its ordinary readings
     return np.asarray(distance / np.maximum(scale, _member_scales(distance, index)[index]), dtype=float)
 
 
@@ -140,6 +146,7 @@ def _distances(group: Group, blocks: Mapping[str, Block]) -> Array:
 
 def critical_value(tests: int, level: float = 0.05) -> float:
     """Return the bound that the largest of `tests` normal |w| exceeds with probability `level` (Bonferroni)."""
+    # half of the level, since |w| exceeds its bound on either side
     return normal_bound(level / (2 * max(tests, 1)))
 
 
@@ -163,6 +170,7 @@ def as_likely(squares: Array) -> Mask:
     largest: an error of one shows in the others as `rho^2 w^2`.
     """
     most = float(squares.max(initial=0.0))
+    # squared: `rho` relates the tests, `rho^2` their squares
     return np.asarray((squares > most - _ODDS) | (squares > SAME**2 * most))
 
 
@@ -185,10 +193,14 @@ def apart(suspected: Suspects, residuals: Residuals, members: Index) -> Index:
     of its member can be left out together with them. `members` (n,) is the member of each reading, such as its image.
     """
     member, tests = members[suspected.rows], suspected.tests
+    # a reading that nothing else controls has no test, and would have an infinite lever
     redundancy = np.maximum(residuals.redundancy[:, suspected.rows], 1e-6)
     leverage, w = np.sqrt((1 - redundancy) / redundancy), np.abs(residuals.normalised[:, suspected.rows])
+    # `tests` are scaled against the noise of the others, and the largest component carries that scale to all
     given = (leverage * w).sum(axis=0) * tests / np.maximum(w.max(axis=0, initial=0.0), 1e-300)
+    # the sum over the member without the suspect itself
     taken = leverage.max(axis=0, initial=0.0) * (np.bincount(member, given)[member] - given if len(member) else given)
+    # sorted by member, then by falling test: the first of each member is its worst
     order = np.lexsort((-tests, member))
     worst = order[np.flatnonzero(np.diff(member[order], prepend=-1))]
     return np.union1d(worst, np.flatnonzero(tests - taken > suspected.critical))
@@ -211,6 +223,7 @@ def suspects(residuals: Residuals, fit: FitQuality) -> Suspects:
     studentisation), so a gross error cannot hide in the sigma0 that it causes. With declared noise s_i is at least 1.
     """
     w = np.abs(residuals.normalised).max(axis=0)
+    # taking a reading out frees one degree of freedom for each of its components
     rest = fit.dof - residuals.values.shape[0]
     bound = critical_value(residuals.values.size)
     if rest < 1:
@@ -218,6 +231,7 @@ def suspects(residuals: Residuals, fit: FitQuality) -> Suspects:
     # rounding can make the part of one reading larger than the whole sum of squares
     own = np.minimum((residuals.normalised**2).sum(axis=0), fit.cost)
     others = np.sqrt((fit.cost - own) / rest)
+    # a known noise stays the reference where the residuals happen to be smaller: else tests of good readings would grow
     unit = np.maximum(others, 1.0) if fit.noise_known else np.maximum(others, 1e-12)
     declared = fit.noise_known & (others <= 1.0)
     # compared with the noise of the others, w is Student's t: scaled so that `bound` is its bound as well

@@ -68,6 +68,7 @@ def adjust_with_iterated_weights(
         failed = solution.outcome not in (Outcome.CONVERGED, Outcome.ITERATION_LIMIT)
         if failed or (change < _SETTLED and turned < _STILL):
             break
+    # also after a failure: this adjustment has the covariance and the rank, by which the failure is named
     return adjust(state.values(), groups, datum, StoppingRule(_STEPS))
 
 
@@ -153,4 +154,5 @@ def variance_component(groups: Sequence[Residuals]) -> float:
             "measure more, or leave out `model`, so that the noise is as declared"
         )
     size = float(np.sqrt((redundancy * w**2).sum() / redundancy.sum()))
+    # residuals without any noise, as of simulated readings, show no size: the declared noise stays
     return size if size > 0 else 1.0

@@ -70,6 +70,7 @@ def highest(rows: Array, values: Array, reach: float) -> tuple[Optimum, float]:
         solved = linprog(cost, against, values[chosen], bounds=limits, method="highs")
         return (solved.x, -solved.ineqlin.marginals) if solved.status == 0 else None
 
+    # with too few rows at the start the programme is bounded by `reach` alone, and its first x is far off
     start = smallest(values, 2 * _ADDED)
     optimum = _growing(solve, lambda x: values + rows @ x[:-1] - x[-1], values, start)
     if optimum is None:
@@ -92,6 +93,7 @@ def _growing(
     start: Index | None = None,
 ) -> tuple[Array, Array] | None:
     """Solve with a working set that grows until every inequality is met; None if the working set has no solution."""
+    # 1 beside the largest bound: bounds that are all near 0 would leave a tolerance below rounding
     tolerance = _TOLERANCE * (1 + float(np.abs(bounds).max(initial=0.0)))
     chosen = np.zeros(len(bounds), dtype=bool)
     chosen[smallest(-bounds, _ADDED) if start is None else start] = True
@@ -101,6 +103,7 @@ def _growing(
         if solved is None:
             return None
         x, duals = solved
+        # those in the working set are met to the solver's own tolerance, and would be added again for ever
         left = np.where(chosen, np.inf, slack(x))
         violated = np.flatnonzero(left < -tolerance)
         if not violated.size:
@@ -116,12 +119,15 @@ def _least_distance(rows: Array, bounds: Array) -> tuple[Array, Array] | None:
     from scipy.optimize import nnls
 
     size = rows.shape[1]
+    # y = 0 meets them all, and no y is nearer
     if not len(rows) or (bounds <= 0).all():
         return np.zeros(size), np.zeros(len(rows))
     stacked = np.vstack([rows.T, bounds])
     goal = np.append(np.zeros(size), 1.0)
+    # nnls gives up after 3 n steps by default; nearly parallel rows enter and leave its set more often
     weights, _ = nnls(stacked, goal, maxiter=30 * stacked.shape[1] + 100)
     rest = stacked @ weights - goal
+    # weights w >= 0 with `rows'w = 0` and `bounds'w = 1` prove that no y meets all bounds (Farkas)
     if -rest[-1] < 1e-13:
         return None
     duals = weights / -rest[-1]
@@ -133,6 +139,8 @@ def _polished(rows: Array, bounds: Array, duals: Array) -> tuple[Array, Array]:
     active = np.flatnonzero(duals > 0)
     a = rows[active]
     exact = np.zeros_like(duals)
+    # lstsq and not solve: active rows can be dependent, as where many points touch one plane
     exact[active] = np.linalg.lstsq(a @ a.T, bounds[active], rcond=None)[0]
+    # a negative dual means that the active set is not that of the exact solution: the one of nnls stands
     kept = exact if (exact >= 0).all() else duals
     return rows.T @ kept, kept

@@ -44,6 +44,7 @@ class Solution:
     @property
     def dof(self) -> int:
         """Degrees of freedom: readings and conditions minus unknowns."""
+        # the datum's conditions take as many unknowns out as they hold, so they count as readings
         return self.observations - self.unknowns + self.conditions
 
     @property
@@ -89,6 +90,7 @@ class Solution:
 
     def std(self, block: str) -> Array:
         """Return the standard uncertainties of a block, (members, size)."""
+        # rounding can leave -1e-30 for an unknown that is known almost exactly
         std: Array = np.sqrt(np.maximum(np.einsum("mii->mi", self.covariance_or_raise().members(block)), 0.0))
         return std * self.by_step(block)
 
@@ -115,6 +117,7 @@ def residuals_of(solution: Solution, group: Group) -> Residuals:
     values, explained = _adjusted(solution, group)
     whitened = group.observations.whitened(values)
     redundancy = np.clip(1 - explained, 0.0, 1.0)
+    # below it the root of the redundancy is rounding, and w would be noise of any size
     controlled = redundancy > 1e-6
     normalised = np.where(controlled, whitened / np.sqrt(np.where(controlled, redundancy, 1.0)), 0.0)
     return Residuals(values, group.observations.sigma, redundancy, normalised)

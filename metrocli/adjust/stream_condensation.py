@@ -58,6 +58,7 @@ def condense(x: Array, values: Array, cell: Index) -> Condensed:
     """
     order = np.argsort(cell, kind="stable")
     ordered = cell[order]
+    # prepend -1: cells are numbered from 0, so that the first reading begins one
     starts = np.flatnonzero(np.diff(ordered, prepend=-1))
     cells = _Cells(ordered, starts, x[order], values[:, order])
     counts = cells.counts
@@ -66,9 +67,11 @@ def condense(x: Array, values: Array, cell: Index) -> Condensed:
     few = counts <= _NODES
     pieces = [_parabolas(cells, parts, moments, fit), _as_they_are(cells, few), _means(cells, parts, ~fit & ~few)]
     index, where, joined, weight = (np.concatenate(kind, axis=-1) for kind in zip(*pieces, strict=True))
+    # differences from the mean of the cell keep the digits that squares of large readings would lose
     about = parts.mean[:, np.searchsorted(ordered[starts], index)]
     total = ((cells.values - np.repeat(parts.mean, counts, axis=1)) ** 2).sum(axis=1)
     misfit = np.maximum(total - ((joined - about) ** 2 * weight).sum(axis=1), 0.0)
+    # each condensed reading takes one degree of freedom of its cell: three for a parabola, one for a mean
     used = np.where(few, counts, np.where(fit, _NODES, 1)).sum()
     inside = np.lexsort((where, index))
     return Condensed(index[inside], where[inside], joined[:, inside], weight[inside], misfit, int(counts.sum() - used))
@@ -112,6 +115,7 @@ def _hankel(moments: Array, first: int) -> Array:
 def _smallest_pivot(moments: Array) -> Array:
     """Return the smallest pivot of each moment matrix, 0 if it is singular."""
     a = _hankel(moments, 0)
+    # pivots of [[1, m1, m2], [m1, m2, m3], [m2, m3, m4]] when it is eliminated: the first is always 1
     variance = a[:, 1, 1] - a[:, 0, 1] ** 2
     safe = np.maximum(variance, 1e-300)
     last = a[:, 2, 2] - a[:, 0, 2] ** 2 - (a[:, 1, 2] - a[:, 0, 1] * a[:, 0, 2]) ** 2 / safe
@@ -131,6 +135,7 @@ def _parabolas(cells: _Cells, parts: _ScaledCells, moments: Array, chosen: Mask)
     back = np.linalg.inv(root)
     nodes, _ = np.linalg.eigh(back @ _hankel(moments[numbers], 1) @ np.swapaxes(back, 1, 2))
     basis = nodes[..., None] ** np.arange(_NODES) @ np.swapaxes(back, 1, 2)
+    # the weight of a Gauss node is one over the sum of the squared orthonormal polynomials there
     weight = cells.counts[numbers, None] / (basis**2).sum(axis=2)
     fitted = np.einsum("mjk,mkl,cml->cmj", basis, back, parts.right[:, numbers])
     values = fitted + parts.mean[:, numbers, None]

@@ -35,6 +35,7 @@ def _main() -> int:
         # Threads within one matrix product wait for each other where other programs run. numpy reads this on import.
         os.environ.setdefault("OMP_NUM_THREADS", "1")
         os.environ.setdefault("OPENCV_LOG_LEVEL", "ERROR")  # its warnings name its own source lines
+        # here, not at the top: `--help` and completion need none of it (docs/decisions/154-loaded-where-used.md)
         from metrocli.cli.commands import run
 
         code = run(arguments)

@@ -207,6 +207,8 @@ class Misfit:
 
         `shrinks` is the factor of the residuals that the other reading has whatever is wrong.
         """
+        # the same measure before and after: readings can fit while the places are
+        # wrong, and another reading must mend these
         absurd = self.residuals if self.residuals >= 1 else self.places
         return (absurd * shrinks / max(other.residuals if self.residuals >= 1 else other.places, 1e-12)) ** 2
 
@@ -214,6 +216,7 @@ class Misfit:
 def misfit_of(job: AdjustedJob) -> Misfit:
     """Return how far the residuals and the places of an adjusted job are from the plausible."""
     whitened = [_whitened(group, job) for group in job.model.readings]
+    # the median, and the worst group: some wrong readings make no file wrong, but one group in a wrong unit does
     medians = [float(np.median(np.abs(values))) for values in whitened]
     spreads = [float(np.sqrt(np.mean(values**2))) for values in whitened]
     return Misfit(max(medians, default=0.0) / ABSURD, job.list_offset, max(spreads, default=0.0))

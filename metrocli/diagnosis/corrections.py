@@ -65,6 +65,7 @@ def _of_table(table: Table) -> Iterator[tuple[str, str, float, Table]]:
     lengths = [name for name, unit in table.units.items() if unit == "mm" and not _known(name)]
     places = [name for name in lengths if name in _AXES]
     others = [name for name in lengths if name not in _AXES]
+    # places may be in another unit than the other lengths, or all may share one: each is a mistake of its own
     for names in [*([places, others] if places and others else []), lengths]:
         yield from _units_of_lengths(table, names)
     angles = [name for name, unit in table.units.items() if unit == "rad"]
@@ -93,6 +94,7 @@ def _units_of_lengths(table: Table, names: Sequence[str]) -> Iterator[tuple[str,
     per_centimetre = find_unit("cm", "length").inside(1.0)
     for factor in (per_metre, 1 / per_metre, INCH, 1 / INCH, per_centimetre, 1 / per_centimetre):
         lengths = DIMENSIONS["length"].units
+        # a factor on a column in inches can lead to a size that no unit has: then the numbers are to be changed
         meant = next((unit for unit in lengths if _alike(unit.times / unit.over, factor * read)), None)
         if meant is not None:
             words = f"{in_a_row(_headings(table, names))} {'are' if names[1:] else 'is'} in {meant.symbol}"
@@ -134,6 +136,7 @@ def _of_axes(table: Table, axes: Sequence[str]) -> Iterator[tuple[str, str, floa
         yield *_sign(axis), 1.0, _scaled(table, [axis], -1.0)
     if len(axes) < len(_AXES):
         return
+    # swaps of two axes are above: orders that move every axis are the two that go round
     for order in permutations(axes):
         if all(one != other for one, other in zip(order, axes, strict=True)):
             words = f"{', '.join(axes)} are in the order {', '.join(order)}"

@@ -147,6 +147,7 @@ def _wrong_reading(state: State, effect: Effect, noise: float) -> WrongReading:
     unit = noise / np.sqrt(np.maximum(1 - state.absorbed(rows), 1e-12))
     least = np.sqrt(noncentrality(level, 1, rest, _POWER)) * unit
     hidden = np.sqrt(noncentrality(level, 1, rest, POWER)) * unit
+    # inf, not an empty list: the median of none is nan
     sizes = least * m.system.scale[rows] if len(rows) else np.array([np.inf])
     between = float(sizes.min()), float(sizes.max())
     hides = hidden_by_readings(m.job, m.system, rows, hidden)
@@ -170,6 +171,7 @@ def _candidate(state: State, family: int, chosen: Sequence[int], noise: float) -
     own, gram = m.families[family], state.left(family)[0]
     ranks = ranks_of(roots(gram[list(chosen)], own.raw[list(chosen)]))
     traces = np.where(ranks > 0, np.einsum("kqq->k", gram[list(chosen)]), 0.0)
+    # the form of median visibility stands for all: the best one of a scan would promise too much (docs/decisions/068)
     middle = int(np.argsort(traces, kind="stable")[len(traces) // 2])
     at, rank = chosen[middle], int(ranks[middle])
     alternative = own.alternatives[at]
@@ -179,6 +181,7 @@ def _candidate(state: State, family: int, chosen: Sequence[int], noise: float) -
     size = _size_found(state, family, chosen, ranks, alternative) * noise if rank else float("inf")
     power = {int(q): needed(m, family, int(q), POWER) * noise**2 if q else 0.0 for q in np.unique(ranks)}
     # where even usual sizes stay unseen, the change is that of the size found with 95 % power
+    # `size` is that of 80 % power, and sizes go with the root of the non-centrality
     unseen = size * np.sqrt(power[rank] / needed(m, family, rank)) / noise if rank else 0.0
     assumed = max(alternative.effect.plausible, unseen)
     farthest = np.sqrt(own.columns.parameters) * assumed / alternative.effect.plausible

@@ -83,6 +83,7 @@ def diagnose(
     progress.doing("cross-validating: predicting parts of the readings from the others", job.budget.left())
     state, names, gained, unconfirmed = _confirmed(state, ordered, quick)
     kept = readings_kept(state)
+    # the job of the first round: in that of the last one, effects on its own blocks stand at a fixed size
     fit = extended_fit(first.measurement.job, names, kept) if names else None
     # to first order in a quick diagnosis: each takes an adjustment
     shifts = [None] * len(names) if quick else result_changes(first.measurement.job, names, fit, kept)
@@ -99,6 +100,7 @@ def diagnose(
         variance_groups=_variance_groups(state),
         outliers=wrong_readings(state),
         findings=tuple(_findings(state, zip(names, gained, shifts, strict=False), noise.ratio)),
+        # the last gain is that of all names together
         left=_left(state, correlated, laws, repeats, whole or gained[-1] if names else whole),
         before=strongest(first),
         after=strongest(state),
@@ -159,6 +161,7 @@ def _in_white_noise(state: State) -> State:
 
 def strongest(state: State) -> float:
     """Return the level of the strongest candidate beside a state, counted over all."""
+    # a net of 0 is just at the level, and one of -_LEVEL at the level 1: none counts as less
     nets = [-_LEVEL]
     for number in range(len(state.measurement.families)):
         gain, price, _ = state.gains_of_family(number)
@@ -193,6 +196,7 @@ def _other_shape_from(state: State, name: IdentifiedEffect, noise: float) -> flo
     from metrocli.diagnosis.linear.distributions import noncentrality, single_level
 
     m = state.measurement
+    # without the last count, that of single readings: these are no other shape of an effect
     least = noncentrality(single_level(0.03, max(m.prices.tests[:-1], default=1.0)), 2, max(m.system.dof - 2, 1))
     return float(np.sqrt(least) * noise / max(name.shows, 1e-300))
 
@@ -209,6 +213,7 @@ def _left(
     A job whose noise is `structured` declares that what its images share varies smoothly with anything. `gain` is that
     of all that is identified.
     """
+    # the most specific first: a law, an unknown cause, a smooth error, and what repeated readings share
     job, misfit = state.measurement.job, gain.before**2 if gain is not None and gain.before else None
     law = next((law for law in laws if law.chosen), None)
     if law is not None:
@@ -231,6 +236,7 @@ def _left(
         best = min(significant, key=lambda error: error.log_level)
         names = dict.fromkeys(error.covariate for error in significant)
         where = (best.place,) if best.place else ()
+        # shares of a misfit in one unit: errors of angles do not add to those of lengths
         squares = sum((error.std * error.visible) ** 2 for error in correlated if error.unit == job.reading[0])
         return RemainingStructure(
             float(np.exp(best.log_level)),
@@ -264,6 +270,7 @@ def what_can_be_seen(job: AdjustedJob) -> Detectability:
     Raises InputError if this needs more memory than there is.
     """
     m = measurement_of(as_fits(job))
+    # residuals of 0: they would enter the noise, and the upper bounds of the candidates
     return design(State.of(replace(m, system=replace(m.system, residual=np.zeros(m.system.rows)))))
 
 

@@ -47,12 +47,14 @@ def _random_effect(state: State, number: int) -> RandomEffect:
     m, part = state.measurement, state.random[number]
     families = m.scatters[part.key[0]]
     effect, less = families[0].alternatives[0].effect, state.minus([part])
+    # `logs` are ratios to the variance of the noise, whose estimate is squares / dof
     std = float(np.sqrt(np.exp(state.logs[number]) * state.fit.squares / state.fit.dof)) * part.unit
     wider = with_random_effect(m.job, effect, std, readings_kept(state))
     return RandomEffect(
         effect,
         std,
         std * relative_spread(state, number),
+        # counted over all effects that are sought at all their places
         log_level_of(state.score + part.price - less.score) + float(np.log(len(m.scatters))),
         sum(family.columns.count for family in families),
         _as_likely(state, less),
@@ -68,6 +70,7 @@ def _as_likely(state: State, less: State) -> tuple[Instead, ...]:
         if key == READING and number not in state.measurement.noise:
             ahead = tried_noise(less, {number: less.ratio_of(number)}).score - state.score
             if ahead > -AS_LIKELY:
+                # exp overflows above 709
                 candidates.append(Instead("noise", {READING: name}, float(np.exp(min(ahead, 700.0)))))
     return tuple(candidates)
 
@@ -82,6 +85,7 @@ def noise_instead(state: State, part: Fixed) -> tuple[Instead, ...]:
     for number, (key, name, rows) in enumerate(m.units):
         if where.get(key) == name and rows.sum() <= _MOST_ROWS * part.rank and number not in m.noise:
             less = state.minus([part])
+            # at least the ratio from which a noise is reported: a smaller one is that of all readings, and no answer
             ahead = tried_noise(less, {number: max(less.ratio_of(number), AS_OTHERS)}).score - state.score
             if ahead > -_OF_A_PLACE:
                 noises.append(Instead("noise", {key: name}, float(np.exp(min(ahead, 700.0)))))
@@ -91,6 +95,7 @@ def noise_instead(state: State, part: Fixed) -> tuple[Instead, ...]:
 def relative_spread(state: State, number: int) -> float:
     """Return the relative uncertainty of the standard deviation of a random part, from the likelihood's bend."""
     bend = float(state.fit.slopes[2][number])
+    # ln of a variance has the variance 2 / bend, and a standard deviation half the relative uncertainty of its square
     return float(1 / np.sqrt(max(2 * bend, 1e-12)))
 
 

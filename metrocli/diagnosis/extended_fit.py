@@ -46,6 +46,7 @@ def _own_row(model: Model, name: IdentifiedEffect) -> tuple[Block, int]:
 def _row(model: Model, added: Added, name: IdentifiedEffect) -> tuple[Block, int]:
     block = model.blocks[added.block]
     place = name.alternative.instance
+    # an effect with a link, or without a place, has its member last: that of readings elsewhere comes first
     return block, block.members.index(place[0]) if place and added.effect.link is None else -1
 
 
@@ -73,6 +74,7 @@ def sizes(job: AdjustedJob, name: IdentifiedEffect) -> tuple[EffectSize, ...]:
     estimated = []
     for at, key in enumerate(alternative.parameters):
         column = block.column(key)
+        # a column that the effect itself adds to a block of the job begins at 0
         was = before.values[row, column] if before is not None and column < before.size else 0.0
         seen = bool(name.apart[at])
         spread = float(std[at] * by_step[column]) if seen else None
@@ -121,6 +123,7 @@ def result_changes(
     changes: list[float | None] = []
     for name in names:
         others = [other for other in names if other is not name]
+        # with nothing left to name, the job as it is may do, without an adjustment
         without = extended_fit(job, others, kept) if others else _without_names(job, kept)
         changes.append(None if without is None else result_change(without, fit))
     return changes
@@ -157,10 +160,12 @@ def relinearised(job: AdjustedJob, names: Sequence[IdentifiedEffect], adjusted: 
 
 def _without(block: Block, adjusted: Block, added: Sequence[Added]) -> Block:
     """Return a block at adjusted values, except for columns that were freed in it."""
+    # columns that an effect adds come last
     values = adjusted.values[:, : block.size].copy()
     for extra in added:
         if extra.block == block.name:
             freed = [block.column(column) for column in extra.columns if column in block.columns]
+            # one that the job estimates itself keeps its adjusted value: only what the effect set free goes back
             values[:, freed] = np.where(block.free[:, freed], values[:, freed], block.values[:, freed])
     return block.with_values(values)
 

@@ -160,6 +160,7 @@ def _shifts(job: AdjustedJob, system: Linearised, absorbed: Array) -> Array:
     def moved(name: str) -> Array:
         places = system.entries(name)[:, list(job.delivered.columns)]
         shifts = change[np.maximum(places, 0)]
+        # held entries have no place among the unknowns, and do not move
         shifts[places < 0] = 0.0
         return np.asarray(shifts)
 

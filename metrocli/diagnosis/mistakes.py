@@ -90,6 +90,7 @@ def without_mistakes(inputs: Inputs, adjust: Adjust, others: Others = no_others)
         before = misfits.worst
     except FAILURES as error:
         failure = error
+    # a plausible job may still have another chain, which the readings show without being absurd
     if job is not None and before <= 1:
         better = with_other_setting(job, others)
         return (job, None) if better is None else (better.job, better)
@@ -102,6 +103,7 @@ def without_mistakes(inputs: Inputs, adjust: Adjust, others: Others = no_others)
     ]
     if tried:
         alike = _as_good(tried)
+        # of equals the first is taken, which changes the fewest columns
         after, _, best = alike[0]
         return best, Mistaken(tuple(mistake for _, mistake, _ in alike), best, before, after)
     if job is None:
@@ -130,6 +132,7 @@ def with_other_setting(job: AdjustedJob, others: Others) -> Mistaken | None:
         return None
     after, mistake, other = min(tried, key=lambda trial: trial[0])
     ratio = before / max(after, 1e-12)
+    # one set of readings gives both squares, which then differ less than the independent ones of an F test
     if (ratio < _OTHER_FITS and _redundant(other) <= dof) or f_tail(dof, dof, ratio) > _BY_CHANCE:
         return None
     return Mistaken((mistake,), other, float(np.sqrt(before)), float(np.sqrt(after)))
@@ -168,6 +171,7 @@ def misfit_ratio(job: AdjustedJob) -> float:
 
 def _readings_of(inputs: Inputs, adjust: Adjust, others: Others) -> Iterator[tuple[Mistake, Callable[[], AdjustedJob]]]:
     """Yield each possible mistake, with what adjusts the job without it: first those that the kind of job knows."""
+    # settings first: one that leaves only noise settles what else is tried
     yield from others(False)
     for mistake, changed in corrections(inputs):
         yield mistake, partial(adjust, changed)
@@ -187,11 +191,14 @@ def _tried(
         if settled not in ("", mistake.sort):
             continue
         try:
+            # readings in a wrong unit wander: without a limit, each of some dozen
+            # tries would take as many steps as a job may
             with allowance(mistake.steps):
                 job = adjusted()
         except FAILURES:
             continue
         misfit = misfit_of(job)
+        # the first sort that leaves only noise stays: further ones of it are as good, and are reported with it
         settled = settled or (mistake.sort if misfit.worst <= _AS_NOISE else "")
         yield mistake, misfit, job
 
@@ -210,6 +217,7 @@ def misread(
     write, since they are explanations, and for readings that fit or are too few: no heading causes that.
     """
     tables = [table for table in inputs.values() if isinstance(table, Table)]
+    # an error that names a line or what to write explains itself
     if sum(map(len, tables)) > _MOST_ROWS or (failure is not None and not _unexplained(failure)):
         return None
     before = None
@@ -226,6 +234,8 @@ def misread(
         misfits = [
             misfit
             for misfit in misfits
+            # an effect of an instrument gains far less than a wrong unit or axis
+            # costs (docs/decisions/058-refused-lists.md)
             if before.ratio(misfit[2], misfit[1].shrinks) >= _FAR_BETTER
             and misfit[0] <= 1
             and not before.spoilt_alike(misfit[2], misfit[1].shrinks)
@@ -248,6 +258,7 @@ def misread(
 def _as_good(tried: list[tuple[float, Mistake, T]]) -> list[tuple[float, Mistake, T]]:
     """Return the mistakes that explain a job about as well as the best one, those of the fewest columns first."""
     best = min(value for value, _, _ in tried)
+    # residuals below 2 sigma all fit, and which of them fit best is chance
     alike = [trial for trial in tried if trial[0] <= max(_AS_GOOD * best, _AS_GOOD / ABSURD)]
     return sorted(alike, key=lambda trial: (trial[1].columns, trial[0]))
 
@@ -262,6 +273,7 @@ def _explains(misfit: Misfit, job: AdjustedJob) -> bool:
     """Return whether a reading of the files fits, with more readings than unknowns."""
     readings = sum(group.residuals(job.model.blocks).size for group in job.model.groups)
     unknowns = sum(int(block.free.sum()) for block in job.model.blocks.values())
+    # without a spare reading any reading of the files fits
     return misfit.worst <= _FITS and readings > unknowns
 
 

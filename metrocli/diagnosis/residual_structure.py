@@ -61,6 +61,7 @@ def pure_error(state: State) -> PureError | None:
         return None
     whole = float(state.residual @ state.residual)
     rest = max(state.noise_freedoms - dof, 1.0)
+    # the F test by the share of the squares, as other tests have it: no division by a scatter of 0
     share = np.array(np.clip(1 - squares / max(whole, 1e-300), 0.0, 1.0))
     return PureError(float(np.sqrt(squares / dof)), dof, float(np.exp(log_tail(share, rest, dof))))
 

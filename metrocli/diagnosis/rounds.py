@@ -34,6 +34,7 @@ def is_dominated(state: State) -> bool:
     """
     m = state.measurement
     new = [part for part in state.named if m.alternative(part.key).spot not in m.job.adjusted]
+    # with few degrees of freedom any effect lowers the mean square so far
     if not new or m.dof < _MANY:
         return False
     old = [part for part in state.named if part not in new]
@@ -57,6 +58,7 @@ def searched(job: AdjustedJob, quick: bool = False) -> tuple[State, State]:
         )
     first = state = State.of(m)
     for left in reversed(range(_ROUNDS)):
+        # in the last round nothing stops the search: what dominates then is named about the solution that there is
         state = forward(State.of(m), stop=is_dominated if left else None, least=_MOST_OF_IT if quick else 0.0)
         if not left or not is_dominated(state):
             break
@@ -64,6 +66,7 @@ def searched(job: AdjustedJob, quick: bool = False) -> tuple[State, State]:
         kept = {group.name: np.ones(group.observations.count, dtype=bool) for group in job.model.readings}
         fit = extended_fit(job, names, kept)
         if fit is None:
+            # the job cannot be adjusted with them: then the search goes on beside their first order
             state = forward(state, least=_MOST_OF_IT if quick else 0.0)
             break
         m = measurement_of(relinearised(job, names, fit), None, m, alone)

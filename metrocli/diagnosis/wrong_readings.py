@@ -49,6 +49,7 @@ def _outlier(state: State, part: Fixed, places: Places) -> Outlier:
     squares = np.where(rank == rank[part.number], explained, 0.0) / variance
     own = float(squares[part.number])
     known = {other.number for other in state.readings}
+    # capped at its own: `as_likely` compares with the largest of all
     rivals = [at for at in np.flatnonzero(as_likely(np.minimum(squares, own))).tolist() if at not in known]
     rivals.sort(key=lambda at: -squares[at])
     others = tuple(m.keys_of(at) for at in rivals)
@@ -73,6 +74,7 @@ def _at_its_place(
 
     Where it also changes other readings, these contradict it unless they are much less certain.
     """
+    # a reading of a tracer, a point and a pose lies at each of these, and at each combination
     here = [combination for size in range(1, len(keys) + 1) for combination in combinations(keys.items(), size)]
     families: dict[int, list[int]] = {}
     for place in here:

@@ -136,6 +136,7 @@ def around_circle(several: Sequence[Array], count: int) -> tuple[list[Values], A
     turns = np.arange(count) / count
     functions = []
     for values in several:
+        # the knot that closes the circle is the first one again
         own, knots = _between(np.mod(values[0] / (2 * np.pi), 1.0), np.append(turns, 1.0))
         functions.append((own, knots % count))
     return functions, np.abs(np.sin(np.pi * (turns[:, None] - turns)))
@@ -174,6 +175,7 @@ def lowest_and_spans(several: Sequence[Array], labels: Sequence[Index]) -> tuple
 
 def _between(values: Array, knots: Array) -> Values:
     """Return the two functions of values (n,) between whose knots each lies."""
+    # a value at the last knot belongs to the last interval
     at = np.clip(np.searchsorted(knots, values, side="right") - 1, 0, len(knots) - 2).astype(np.int32)
     part = (values - knots[at]) / (knots[at + 1] - knots[at])
     return np.stack([1 - part, part], axis=1), np.stack([at, at + 1], axis=1)

@@ -53,12 +53,15 @@ def _fault(matrices: Array) -> str:
         return "has a negative variance"
     size = np.sqrt(np.where(known & (variances > 0), variances, 1.0))
     both = known[..., :, None] & known[..., None, :]
+    # rows of undetermined quantities become those of a unit matrix, which passes
     scaled = np.where(both, matrices / size[..., :, None] / size[..., None, :], np.eye(matrices.shape[-1]))
     if not np.isfinite(scaled).all():
         return "has infinite values"
     if (np.abs(scaled - np.swapaxes(scaled, -1, -2)) > _TOLERANCE).any():
         return "is not symmetric"
     try:
+        # shifted by what is allowed: a factor exists exactly where no eigenvalue is
+        # below minus that, and costs less than these
         np.linalg.cholesky(scaled + _TOLERANCE * np.eye(matrices.shape[-1]))
     except np.linalg.LinAlgError:
         return "is not positive: no quantities have these correlations"

@@ -203,6 +203,7 @@ def to_text(table: Table) -> str:
     """Return a table as the text of a CSV file."""
     out = io.StringIO()
     columns = [_cells(table.columns[name]) for name in table]
+    # quoted, since a first cell that begins with # would be read back as a comment
     looks_like_comment = bool(columns) and any(cell.startswith("#") for cell in columns[0])
     writer = csv.writer(out, lineterminator="\n", quoting=csv.QUOTE_ALL if looks_like_comment else csv.QUOTE_MINIMAL)
     writer.writerow([_header(name, table.units.get(name, "")) for name in table])
@@ -217,5 +218,6 @@ def _header(name: str, unit: str) -> str:
 
 def _cells(values: Values) -> list[str]:
     if values.dtype.kind == "f":
+        # nan is the empty cell, and `repr` is the shortest text that reads back as the same number
         return ["" if value != value else repr(value) for value in values.tolist()]
     return [f" {text}" if text.startswith(_FORMULA) else text for text in map(str, values.tolist())]

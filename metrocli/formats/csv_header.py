@@ -27,6 +27,7 @@ def later_header(lines: Sequence[tuple[int, str]]) -> int | None:
     `lines` are those that are rows, with their numbers. A header has names only and no empty cell. It has as many cells
     as the row after it, and more than the first line.
     """
+    # by the last lines: those of the instrument come first and have any marks
     separator = max(",;\t", key=lambda mark: sum(line.count(mark) for _, line in lines[-_LOOKED_AT:]))
     width = lines[-1][1].count(separator)
     for (number, line), (_, after) in pairwise(lines[1:_LOOKED_AT]):

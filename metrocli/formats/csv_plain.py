@@ -57,6 +57,7 @@ class PlainCells(Sequence[Sequence[str]]):
 
     def texts(self, column: int) -> npt.NDArray[np.str_]:
         """Return the texts of a column, (rows,)."""
+        # a letter of a numpy text has four bytes, so that a view of widened bytes is the text
         wide = self._letters(column).astype(np.uint32)
         return wide.view(f"U{wide.shape[1]}").ravel()
 
@@ -69,6 +70,7 @@ class PlainCells(Sequence[Sequence[str]]):
         if self.longest(column) > _LONGEST or not self.length[column].all():
             return None
         letters = self._letters(column)
+        # translate drops the letters of numbers: whatever is left makes it no plain number ("nan", "0x1", "1_0")
         if letters.tobytes().translate(None, _OF_NUMBERS):
             return None
         try:
@@ -106,5 +108,6 @@ def plain_cells(rows: str, separator: str, columns: int) -> PlainCells | None:
     length = ends - start
     if columns == 1 and not length.all():  # an empty row, which has too few cells in any other table
         return None
+    # windows of the longest cell reach beyond the last letter
     padded = np.concatenate([letters, np.zeros(int(length.max()), dtype=np.uint8)])
     return PlainCells(padded, start.reshape(-1, columns).T, length.reshape(-1, columns).T)

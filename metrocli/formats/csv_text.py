@@ -73,10 +73,12 @@ class Raw:
 
 def read_text(path: Path, shown: str, held: FileBytes | None = None) -> str:
     data = (held or read_bytes(path, "a CSV file", shown)).data
+    # UTF-16 and binary files, which are named as such and not by their first byte that is no UTF-8
     if b"\0" in data:
         line = data[: data.index(b"\0")].count(b"\n") + 1
         raise InputError([Fault("this is not a text file", shown, line, 1, hint="expected CSV in UTF-8")])
     try:
+        # one form of letters with accents: names that look alike would differ in their bytes
         text = composed(data.decode("utf-8").lstrip(MARKS))
         return text.replace("\r\n", "\n").replace("\r", "\n") if "\r" in text else text
     except UnicodeDecodeError as error:
@@ -111,6 +113,7 @@ def taken_apart(text: str, file: str, plainly: Plainly | None = None) -> Raw:
         raise InputError([raw.fault("the columns have no names", number, None, "write their names in the first line")])
     if len(header) == 1:
         _refuse_preamble(raw)
+    # a header that ends in an empty name has empty columns, which only the slow reader drops
     cells = plainly(text[end + 1 :], separator, len(header)) if plainly and header[-1] else None
     if cells is not None:
         return replace(raw, cells=cells, numbers=range(number + 1, number + 1 + cells.rows), bare=True)
@@ -120,6 +123,7 @@ def taken_apart(text: str, file: str, plainly: Plainly | None = None) -> Raw:
 def _without_empty(raw: Raw) -> Raw:
     """Return a file without the last columns that have neither a name nor a cell, and then without its empty rows."""
     width = len(raw.header)
+    # spreadsheets save columns that were once used and are empty now
     while width > 1 and not raw.header[width - 1] and not any(cell.strip() for cell in raw.cells[width - 1]):
         width -= 1
     if width == len(raw.header):
@@ -151,6 +155,7 @@ def _row_by_row(raw: Raw) -> Raw:
     rows = [raw.lines[n - 1] for n in numbers]
     counts = [row.count(separator) + 1 for row in rows]
     refuse_cells(raw, [(n, count) for n, count in zip(numbers, counts, strict=True) if count != width])
+    # one split for all rows: their counts are known to agree
     flat = separator.join(rows).split(separator)
     return replace(raw, cells=tuple(flat[k::width] for k in range(width)), numbers=numbers)
 
@@ -167,6 +172,7 @@ def _quoted(raw: Raw) -> Raw:
     def lines() -> Iterator[str]:
         for number, line in enumerate(raw.lines[raw.header_line :], raw.header_line + 1):
             if len(numbers) > len(rows):  # within a cell
+                # a space in place of the line end; what looks like a comment is text of the cell here
                 yield f" {line}"
             elif _is_row(line):
                 numbers.append(number)
@@ -273,5 +279,6 @@ def repeated(raw: Raw, columns: Columns, values: dict[str, Values], without: Con
 
 def _all_different(keys: Table) -> bool:
     """Return whether no two rows have the same values in all columns; False also where chance gives equal numbers."""
+    # one hash for each row costs far less than a tuple for each, and nearly always decides
     numbers = np.sort(row_hashes(keys, tuple(keys)))
     return bool((numbers[1:] != numbers[:-1]).all())

@@ -38,6 +38,7 @@ def read_bytes(path: Path, what: str = "a file", shown: str = "", most: int = MO
     """
     shown = shown or str(path)
     try:
+        # O_NONBLOCK: opening a pipe that nobody writes to would wait for ever, before its kind is known
         handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
     except OSError as error:
         missing = isinstance(error, FileNotFoundError)
@@ -53,6 +54,7 @@ def read_bytes(path: Path, what: str = "a file", shown: str = "", most: int = MO
             raise InputError([Fault(f"the file has {status.st_size} bytes; {what} has at most {most}", shown)])
         with open(handle, "rb", closefd=False) as file:
             # not `most` at once: the buffer is taken as large as asked for, which a limit on memory may forbid
+            # one byte more than the size, so that a file that grows meanwhile shows it
             data = file.read(status.st_size + 1)
             if len(data) > status.st_size:
                 data += file.read(most + 1 - len(data))
@@ -86,18 +88,21 @@ def atomic_write(path: Path) -> Iterator[Path]:
 @contextmanager
 def folder_made(folder: Path) -> Iterator[None]:
     """Make a folder, and those above it, if need be; of those that were made the empty ones go at the end."""
+    # lexists: a link to nothing is there, and is not ours to remove
     absent = [parent for parent in (folder, *folder.parents) if not os.path.lexists(parent)]
     try:
         folder.mkdir(parents=True, exist_ok=True)
         yield
     finally:
         with suppress(OSError):
+            # innermost first; one that is not empty ends the loop, and those above it hold it
             for parent in absent:
                 parent.rmdir()
 
 
 @contextmanager
 def _replacing(path: Path) -> Iterator[Path]:
+    # in the same folder, since a rename is one step within a file system only
     temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
     handle = -1
     try:
@@ -147,6 +152,7 @@ def sweep(folder: Path, begin: str = ".") -> None:
         with suppress(OSError):
             handle = os.open(left, os.O_RDWR | getattr(os, "O_NOFOLLOW", 0))
             try:
+                # a writer that lives holds the lock, and this fails
                 _lock(handle)
                 left.unlink()
             finally:

@@ -77,10 +77,12 @@ def _opened(body: memoryview) -> h5py.File:
 
 def _walk(group: h5py.Group, depth: int, seen: set[int]) -> Iterator[Any]:
     for name in group:
+        # a link could lead to another file of this computer, which would then be part of a result
         if not isinstance(group.get(name, getlink=True), h5py.HardLink):
             raise ValueError(f"'{name}' is a link to elsewhere")
         item = group[name]
         address = h5py.h5o.get_info(item.id).addr
+        # a cycle of hard links would never end
         if address in seen or len(seen) > _MOST_OBJECTS or depth > _DEEPEST:
             raise ValueError(f"'{name}' is one object under two names, or one of too many")
         seen.add(address)
@@ -94,10 +96,12 @@ def _refuse_unusual(data: h5py.Dataset) -> None:
     stored = data.id.get_create_plist()
     if stored.get_layout() not in (h5py.h5d.COMPACT, h5py.h5d.CONTIGUOUS) or stored.get_external_count():
         raise ValueError(f"{data.name} is stored in pieces or in another file")
+    # a shape of 1e15 numbers takes a few bytes in the file and all memory when it is read
     if data.shape is None or data.nbytes > data.id.get_storage_size():
         raise ValueError(f"{data.name} has a shape, but not the values for it")
     types = [data.dtype[name] for name in data.dtype.names] if data.dtype.names else [data.dtype]
     if any(
+        # objects other than texts are references and the like, which lead elsewhere
         kind.kind not in "biufSO" or kind.hasobject != (h5py.check_string_dtype(kind) is not None and kind.kind == "O")
         for kind in types
     ):

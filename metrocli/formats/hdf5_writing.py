@@ -100,6 +100,7 @@ def _write_plot(file: h5py.File, result: Result) -> None:
 
 
 def _table_of(rows: Sequence[Mapping[str, Any]], names: Sequence[str]) -> Table:
+    # without rows numpy would take a column for numbers
     kind = None if rows else np.str_
     return Table({name: np.array([row[name] for row in rows], dtype=kind) for name in names})
 
@@ -122,6 +123,7 @@ def _storable(values: Any) -> Any:
     if letters is None:
         encoded = np.char.encode(values, "utf-8")
         letters = np.ascontiguousarray(encoded).view(np.uint8).reshape(values.size, encoded.dtype.itemsize)
+    # one letter at least: HDF5 has no texts of length 0
     longest = next((k for k in range(letters.shape[1], 1, -1) if letters[:, k - 1].any()), 1)
     kept = np.ascontiguousarray(letters[:, :longest])
     return kept.view(h5py.string_dtype("utf-8", longest)).ravel()

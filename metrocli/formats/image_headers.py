@@ -59,6 +59,7 @@ def _jpeg(data: bytes) -> Size:
         mark, kind = data[place], data[place + 1]
         if mark != 0xFF:
             raise HeaderError("the JPEG structure is damaged")
+        # 0xFF repeats as filler before a marker
         if kind == 0xFF or kind in _JPEG_WITHOUT_LENGTH:
             place += 1 if kind == 0xFF else 2
             continue
@@ -67,6 +68,7 @@ def _jpeg(data: bytes) -> Size:
             height, width = struct.unpack_from(">HH", data, place + 5)
             size = (width, height)
         place += 2 + length
+        # the scan follows, whose length is not stated: only its end can be looked for
         if kind == 0xDA:
             break
     if data.find(b"\xff\xd9", place) < 0:
@@ -78,9 +80,11 @@ def _bmp(data: bytes) -> Size:
     offset, header, width, height, _, depth, compression = struct.unpack_from("<IIiiHHI", data, 10)
     if header < 40:
         raise HeaderError("BMP files in the OS/2 format are not read")
+    # rows of a bitmap are padded to four bytes
     row = (width * depth + 31) // 32 * 4
     if compression in (0, 3) and offset + row * abs(height) > len(data):
         raise HeaderError("the file is truncated")
+    # the height is negative where the rows run from the top
     return width, abs(height)
 
 
@@ -113,6 +117,7 @@ def _tiff(data: bytes) -> Size:
 
 
 def _tiff_values(data: bytes, order: str, code: str, count: int, place: int) -> tuple[int, ...]:
+    # up to four bytes are in the entry itself, more where it points to
     if count * struct.calcsize(code) > 4:
         (place,) = struct.unpack_from(order + "I", data, place)
     if count * struct.calcsize(code) > len(data):

@@ -30,6 +30,7 @@ def inside(folder: Path, name: str) -> Path:
 
 def refuse_inputs(paths: Iterable[Path], inputs: Iterable[Path]) -> None:
     """Raise InputError for files to be written that are inputs and exist: no option allows to replace these."""
+    # realpath: the same file by a link or by `..` is the same input
     read = {os.path.realpath(path) for path in inputs}
     if used := [path for path in paths if path.exists() and os.path.realpath(path) in read]:
         hint = "choose another name or folder: an input is never replaced"
@@ -88,6 +89,7 @@ def _alone_in(folders: Iterable[Path]) -> Iterator[None]:
         try:
             import fcntl
 
+            # sorted: two calls that lock the same folders in different order would wait for each other
             for folder in sorted(set(folders)):
                 held.enter_context(folder_made(folder))
                 handle = os.open(folder, os.O_RDONLY)
@@ -168,6 +170,7 @@ def _must_be_whole(data: bytes, path: Path) -> None:
 def _merged(corners: np.typing.NDArray[np.float64]) -> Triangles:
     points = np.ascontiguousarray(corners.reshape(-1, 3))
     grid = _ALIKE * max(float(np.abs(points).max()), 1e-300)
+    # adding 0 turns -0 into 0, whose bits differ
     cells = np.rint(points / grid) + 0.0
     order = np.argsort(_mixed(cells), kind="stable")
     cells = cells[order]

@@ -48,6 +48,7 @@ class Label:
 def sealed(label: Label, body: bytes) -> tuple[bytes, bytes]:
     """Return what a result file begins with, from its label and its HDF5 part, and that part."""
     text = json.dumps({"format": FORMAT, **asdict(label)}, ensure_ascii=False).encode() + b"\n"
+    # a digest has always the same length, so that of nothing gives the place of the rest
     first = len(_first_line(b""))
     padded = text + b"\n" * (_start_of_body(first + len(text)) - first - len(text))
     return _first_line(padded, body) + padded, body
@@ -65,9 +66,11 @@ def unsealed(data: bytes, shown: str) -> tuple[Label, memoryview]:
     line = data[: len(_first_line())].partition(b"\n")[0]
     rest = memoryview(data)[len(line) + 1 :]
     words = line.split(b" ")
+    # nine digits are enough: int() refuses more than 4300 with an error of its own
     if len(words) == 4 and words[1].isdigit() and int(words[1][:9]) > VERSION:
         message = f"the file has version {words[1].decode()} of the format; this metrocli reads up to {VERSION}"
         raise InputError([Fault(message, shown)])
+    # before the label is parsed: damage is named as such, and reaches neither JSON nor HDF5
     if line + b"\n" != _first_line(rest):
         raise InputError([Fault(_DAMAGED, shown, hint=_AGAIN)])
     text = data[len(line) + 1 : data.find(b"\n", len(line) + 1)]
@@ -94,6 +97,7 @@ def _first_line(*rest: bytes | memoryview) -> bytes:
 
 
 def _start_of_body(length: int) -> int:
+    # the user block of HDF5 ends at a power of two, 512 bytes at least
     return max(512, 1 << (length - 1).bit_length())
 
 

@@ -70,6 +70,7 @@ class Search:
         """Return a k-d tree of the centres of small cells, the triangle of each cell, and the largest cell radius."""
         from scipy.spatial import cKDTree
 
+        # three times the side of a square of that area, so that usual triangles are not divided
         size = float(np.sqrt(self.mesh.areas.sum() / max(_CELLS, len(self.mesh.faces)))) * 3
         cells, owner = self.mesh.corners, np.arange(len(self.mesh.faces))
         small, owners = [], []
@@ -88,6 +89,7 @@ class Search:
         every = np.concatenate(small)
         centre = every.mean(axis=1)
         reach = float(np.sqrt(((every - centre[:, None]) ** 2).sum(axis=2).max()))
+        # not balanced: cells of a mesh lie evenly, and the tree is built in less time
         return cKDTree(centre, balanced_tree=False), np.concatenate(owners), reach
 
     @cached_property
@@ -155,6 +157,7 @@ class Search:
         # points near each other one after the other: what they have in common is then still in the cache
         order = np.argsort(self._place_in_tree[cell])
         search, cell = search[order], cell[order]
+        # twice: this much may point and triangle each come nearer before triangles are sought anew
         bound = np.sqrt(self._square(points[search], owner[cell])) + 2 * near.clear
         # a triangle with no cell in the ball is farther than the bound
         radius = bound + reach
@@ -173,6 +176,7 @@ class Search:
             faces.append(nearest[kept])
         row = np.concatenate(rows)
         order = np.argsort(row, kind="stable")
+        # the places at which they were sought: `clear` counts from there, also over many small moves
         base = near.points.copy()
         base[search] = points[search]
         return Near(base, row[order], np.concatenate(faces)[order], near.clear)
@@ -187,6 +191,7 @@ class Search:
             return face, size, size, size
         first = np.searchsorted(row, np.arange(len(points)))
         least = np.minimum.reduceat(size, first)
+        # backwards, so that of equal distances the first one is written last and stays: the same triangle in each run
         nearest = np.flatnonzero(size == least[row])[::-1]
         best = np.empty(len(points), dtype=np.intp)
         best[row[nearest]] = nearest
@@ -201,6 +206,7 @@ class Search:
         counts = np.fromiter(map(len, lists), dtype=np.intp, count=len(points))
         face = owner[np.concatenate(lists).astype(np.intp)]
         row = np.repeat(np.arange(len(points)), counts)
+        # divided triangles have several cells, and would be compared with themselves as the second nearest
         if len(owner) > len(self.mesh.faces):
             row, face = np.divmod(np.unique(row * len(self.mesh.faces) + face), len(self.mesh.faces))
         return row, face
@@ -231,6 +237,7 @@ class Search:
         flat = self._flat.take(face, axis=0)
         x, y, height = np.einsum("nij,nj->in", flat[:, 3:12].reshape(-1, 3, 3), points - flat[:, :3])
         b, cx, cy = flat[:, 12:].T
+        # without height it has no inside, and its edges give the distance
         gaps, parts, inside = [], [], cy > 0
         for ax, ay, dx, dy in ((0.0, 0.0, b, 0.0), (b, 0.0, cx - b, cy), (cx, cy, -cx, -cy)):
             fx, fy = x - ax, y - ay
@@ -270,6 +277,7 @@ class Search:
         height = np.einsum("nk,nk->n", away, outward)
         sign = np.where(height < 0, -1.0, 1.0)
         rim = self.mesh.at_rim(face, feature)
+        # on an edge itself the direction is 0/0: the normal of the feature takes its place
         clear = (size > 1e-9) & ~rim
         direction = np.where(clear[:, None], sign[:, None] * away / np.maximum(size, 1e-300)[:, None], outward)
         gradient = np.where(on_face[:, None], self.mesh.normals[face], direction)

@@ -58,6 +58,7 @@ def moved(poses: Array, step: Array) -> Array:
 
 def difference(poses: Array, reference: Array) -> Array:
     """Return the step that leads from `reference` to `poses`, (..., 6)."""
+    # `R R_ref'`, since steps turn from the left
     turn = rotation_of(poses) @ np.swapaxes(rotation_of(reference), -1, -2)
     return pose(turn, poses[..., :3] - reference[..., :3])
 
@@ -114,6 +115,7 @@ def mirrored_about(values: Array, sight: Array, centre: Array, normal: Array) ->
     goal = 2 * (along * now).sum(axis=1, keepdims=True) * along - now
     axis = np.cross(now, goal)
     sine, cosine = np.linalg.norm(axis, axis=1), (now * goal).sum(axis=1)
+    # atan2 of both: the arc cosine loses half of the digits where the turn is small
     turn = axis / np.maximum(sine, 1e-12)[:, None] * np.arctan2(sine, cosine)[:, None]
     turned = rotation_from_vector(turn) @ rotation
     return pose(turned, middle - turned @ centre)

@@ -38,6 +38,7 @@ def vector_from_rotation(rotation: Array) -> Array:
     axis = quaternion[..., 1:]
     sine = np.linalg.norm(axis, axis=-1)
     angle = 2 * np.arctan2(sine, quaternion[..., 0])
+    # angle / sin(angle / 2) for small angles is 2 + s^2 / 3 with s = sin(angle / 2)
     ratio = np.where(sine > _SMALL, angle / np.where(sine > _SMALL, sine, 1.0), 2.0 + sine**2 / 3)
     vector: Array = axis * ratio[..., None]
     return vector
@@ -95,6 +96,7 @@ def vector_by_left_turn(vector: Array) -> Array:
     """
     vector = np.asarray(vector, dtype=float)
     angle = np.linalg.norm(vector, axis=-1)[..., None, None]
+    # below it `1/t^2 - ...` is a difference of two large numbers; two terms of the series are exact to 1e-15 there
     large = angle > 1e-3
     safe = np.where(large, angle, 1.0)
     factor = np.where(large, 1 / safe**2 - (1 + np.cos(safe)) / (2 * safe * np.sin(safe)), 1 / 12 + angle**2 / 720)
@@ -107,6 +109,8 @@ def nearest_rotation(matrix: Array) -> Array:
     """Return the rotation nearest to a 3 x 3 matrix in the least-squares sense, by its singular values, (..., 3, 3)."""
     left, _, right = np.linalg.svd(matrix)
     sign = np.ones((*left.shape[:-2], 3))
+    # the last singular value is the smallest: turning its direction over makes a
+    # rotation of a reflection at the least cost
     sign[..., 2] = np.sign(np.linalg.det(left @ right))
     nearest: Array = (left * sign[..., None, :]) @ right
     return nearest
@@ -136,6 +140,7 @@ def _quaternion(rotation: Array) -> Array:
         ],
         -2,
     )
+    # at least 1/2 in size: dividing by a small component would lose digits near a half turn
     best = np.argmax(diagonal, axis=-1)[..., None, None]
     quaternion = np.take_along_axis(forms, best, axis=-2)[..., 0, :]
     length = np.linalg.norm(quaternion, axis=-1, keepdims=True)
@@ -150,5 +155,6 @@ def _sine_ratio(angle: Array) -> Array:
 
 def _cosine_ratio(angle: Array) -> Array:
     small = angle < _SMALL
+    # `1 - cos t = 2 sin(t/2)^2` does not cancel
     half = np.sin(angle / 2)
     return np.where(small, 0.5 - angle**2 / 24, 2 * half**2 / np.where(small, 1.0, angle) ** 2)

@@ -120,6 +120,7 @@ class Surfaces:
         _, radial, length = self._parts(points, surface)
         away = radial / np.maximum(length, _SMALL)[:, None]
         axis = self.axis[surface]
+        # a sphere has axis 0, so that this is the projection across `away` alone
         across = np.eye(3) - away[:, :, None] * away[:, None, :] - axis[:, :, None] * axis[:, None, :]
         strength = self.sign[surface] * self.cosine[surface] / np.maximum(length, _SMALL)
         return Shape(distance, normal, strength[:, None, None] * across)

@@ -49,6 +49,7 @@ class Triangles:
     @property
     def volume(self) -> float:
         """Volume, negative if the triangles are seen from inside: the sum of `a.(b x c)/6`."""
+        # about the mean: the sum holds for any origin of a closed mesh, but far from it the terms cancel
         corners = self.corners - self.vertices.mean(axis=0)
         return float(np.einsum("fk,fk->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6)
 
@@ -66,6 +67,7 @@ class Triangles:
         counts = np.diff(np.append(first, len(ordered)))
         pair = first[counts == 2]
         edge, other = order[pair], order[pair + 1]
+        # neighbours that are oriented alike run along their edge in opposite ways
         opposite = start[edge] == end[other]
         neighbour = np.full(len(start), -1, dtype=np.intp)
         neighbour[edge[opposite]], neighbour[other[opposite]] = other[opposite], edge[opposite]
@@ -121,6 +123,7 @@ class Triangles:
         order = bent[np.lexsort((angle[bent], self.patch[edge[bent]]))]
         present, first, counts = np.unique(self.patch[edge[order]], return_index=True, return_counts=True)
         usual = np.zeros(self.patches)
+        # the median of each patch: the middle of its sorted angles
         usual[present] = angle[order[first + counts // 2]]
         return self._joined((angle < _FLAT) | (angle < np.minimum(2 * usual[self.patch[edge]], _SMOOTH)))
 
@@ -150,6 +153,7 @@ class Triangles:
     @cached_property
     def _vertex_normals(self) -> Array:
         """Normals of the vertices, the sum of their faces by the angles there, (m, 3), not of length 1."""
+        # weighted by angle and not by area: how a flat face is divided into triangles then changes nothing
         angle = self._angles(slice(None))
         weighted = ((angle * self.normals[:, k, None]).ravel() for k in range(3))
         return np.stack(
@@ -173,6 +177,7 @@ class Triangles:
         of_corner = of_corner / np.maximum(np.linalg.norm(of_corner, axis=2), 1e-300)[:, :, None]
         to_corner = self.corners[face] - places[:, None]
         against = np.cross(to_corner[:, NEXT], to_corner[:, NEXT[NEXT]])
+        # barycentric: the part of the triangle opposite to each corner
         weight = np.maximum(np.einsum("nik,nk->ni", against, self.normals[face]), 0.0)
         normal = np.einsum("ni,nik->nk", weight, of_corner)
         return np.asarray(normal / np.maximum(np.linalg.norm(normal, axis=1), 1e-300)[:, None])
@@ -207,6 +212,7 @@ class Triangles:
         neighbour = self._paired[0][3 * face + edge]
         at_edge = (feature > 0) & (feature < 4) & (neighbour >= 0)
         at_edge &= self.patch[face] != self.patch[neighbour // 3]
+        # of two patches only an edge passes through the vertex, and the distance bends across it alone
         at_corner = (feature > 3) & (self._patches_at[self.faces[face, np.clip(feature - 4, 0, 2)]] > 2)
         along = self.corners[face, NEXT[edge]] - self.corners[face, edge]
         along /= np.maximum(np.linalg.norm(along, axis=1), 1e-300)[:, None]
@@ -231,5 +237,6 @@ class Triangles:
         neighbour = self._paired[0][edge]
         of_edge = self.normals[face] + self.normals[np.where(neighbour >= 0, neighbour // 3, face)]
         of_vertex = self._vertex_normals[self.faces[face, np.clip(feature - 4, 0, 2)]]
+        # 0 for a face, 1 for an edge (features 1 to 3), 2 for a vertex (4 to 6)
         kind = np.searchsorted([1, 4], feature, side="right")[:, None]
         return np.where(kind == 0, self.normals[face], np.where(kind == 1, of_edge, of_vertex))

@@ -54,6 +54,7 @@ def saturated(temperature: float | Array) -> Array:
     over_water = 1e6 * (2 * c / (-b + np.sqrt(b**2 - 4 * a * c))) ** 4
     theta = kelvin / 273.16
     over_ice = 611.657 * np.exp(-13.928169 * (1 - theta**-1.5) + 34.7078238 * (1 - theta**-1.25))
+    # both are evaluated everywhere: outside its range each is finite, and `where` drops it
     return np.asarray(np.where(kelvin < _KELVIN, over_ice, over_water))
 
 

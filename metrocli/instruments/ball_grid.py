@@ -156,10 +156,12 @@ def hollow(views: Sequence[View], view: Index, balls: Index, pitch: float) -> Ar
 def numbers_at(known: Index, wanted: Index) -> Index:
     """Return the number of each wanted site or ball (..., 3) in the list of known ones (n, 3); -1 if it is absent."""
     low = known.min(axis=0)
+    # a table over the whole box: one look-up for each site instead of a search
     box = np.full(known.max(axis=0) - low + 1, -1, dtype=np.intp)
     box[tuple((known - low).T)] = np.arange(len(known))
     place = wanted - low
     inside = ((place >= 0) & (place < box.shape)).all(axis=-1)
+    # places outside are looked up at the lowest corner and dropped
     return np.where(inside, box[tuple(np.moveaxis(np.where(inside[..., None], place, 0), -1, 0))], -1)
 
 
@@ -232,6 +234,7 @@ class FieldSums:
 
 def as_readings(conditions: Mapping[str, Array], sigma: float) -> Group:
     """Return the conditions of the datum as readings of zero, for adjustments whose datum cannot span two blocks."""
+    # rows of length 1, so that one sigma holds shifts, turns and scale alike
     length = np.sqrt(sum((rows**2).sum(axis=(1, 2)) for rows in conditions.values()))[:, None, None]
     machine, artefact = (conditions[name] / length for name in (MACHINE, ARTEFACT))
     count = len(machine)
@@ -248,6 +251,7 @@ def datum(grid: Grid, scale_given: bool) -> dict[str, Array]:
 
     Six conditions remove the rigid motions of G, six those of A; a thirteenth fixes the scale without a given length.
     """
+    # sites that only shifted views reach would move the datum whenever a view is added
     weights = grid.within[:, None, None]
     sites, balls = grid.site_places, grid.ball_places
     machine, artefact = rigid(sites) * weights, rigid(balls)

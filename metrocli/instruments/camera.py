@@ -32,6 +32,7 @@ def lens_block(values: Mapping[str, float], free: Sequence[str], image_size: Seq
     for name in values:
         size = float(max(image_size))
         of_focal = {"f": _TURN, "fx": _TURN, "fy": _TURN}.get(name, 0.0) * values[name]
+        # distortion has no plausible size of its own: what is left open there shows in the image
         reach.append(of_focal or (size if UNITS.get(name) == "px" else np.inf))
     return Block(
         LENS,
@@ -64,6 +65,7 @@ def target_block(points: Array, names: Sequence[str], free: Array | bool, extent
 def mount_block(values: Array, cameras: Sequence[str], distance: float) -> Block:
     """Return the block of poses of several cameras in the frame of the first, (cameras, 6), which is fixed."""
     free = np.ones(values.shape, dtype=bool)
+    # poses are in the frame of the first camera, whose own pose is the identity
     free[0] = False
     reach = np.array([distance] * 3 + [np.pi] * 3)
     return Block(MOUNT, values, poses.COLUMNS, tuple(cameras), free, reach, Space.POSE, noun="camera")
@@ -137,6 +139,7 @@ def list_datum(targets: Block, takes_part: Array, pose: str, scale: bool) -> Dat
         if MOUNT in blocks and scale:
             held = blocks[MOUNT].values
             moved[MOUNT] = np.zeros((*held.shape, len(points.shift)))
+            # distances between the cameras grow with the list
             moved[MOUNT][:, :3, 6] = held[:, :3]
         return moved
 

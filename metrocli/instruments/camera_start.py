@@ -40,7 +40,9 @@ class TargetImages:
 def plane_frame(points: Array) -> tuple[Array, bool]:
     """Return the pose that transforms the targets' best-fit plane to z = 0, and whether they are coplanar."""
     centre = points.mean(axis=0)
+    # three rows of zeros: with one or two points the decomposition has three axes all the same
     spread, axes = np.linalg.svd(np.concatenate([points - centre, np.zeros((3, 3))]), full_matrices=False)[1:]
+    # a reflection would mirror the board: the normal takes the other sign
     rotation = nearest_rotation(axes if np.linalg.det(axes) > 0 else np.diag([1.0, 1.0, -1.0]) @ axes)
     return poses.pose(rotation, -rotation @ centre), bool(spread[2] <= _FLAT * spread[1] or len(points) < 4)
 
@@ -59,6 +61,7 @@ def start(scene: TargetImages, centre: Array, focal: float | None, guess: float)
     rays = (scene.uv - centre[:, None]) / guess
     seen = local[scene.target, :2] if planar else local[scene.target]
     maps, keep = linear_maps(np.column_stack([seen, np.ones(len(seen))]), rays, scene.view, scene.views)
+    # views with at least as many equations as unknowns: of fewer the map is one of many
     telling = maps[2 * np.bincount(scene.view[keep], minlength=scene.views) >= maps[0].size - 1]
     ratio = focal / guess if focal else (_focal_of_homographies(telling) if planar else _focal_of_projections(telling))
     maps[:, :2] /= ratio
@@ -78,6 +81,7 @@ def _focal_of_homographies(maps: Array) -> float:
     h1, h2 = maps[:, :, 0], maps[:, :, 1]
     a = np.concatenate([h1[:, 0] * h2[:, 0] + h1[:, 1] * h2[:, 1], (h1[:, :2] ** 2).sum(1) - (h2[:, :2] ** 2).sum(1)])
     b = np.concatenate([h1[:, 2] * h2[:, 2], h1[:, 2] ** 2 - h2[:, 2] ** 2])
+    # each homography has a scale of its own, which must not weight it
     weight = np.tile(1 / np.maximum((h1**2).sum(1) + (h2**2).sum(1), 1e-300), 2)
     a, b = a * weight, b * weight
     inverse_square = -(a @ b) / max(a @ a, 1e-300)
@@ -101,6 +105,7 @@ def _plausible(ratio: float) -> float:
 
 def _poses_of_homographies(maps: Array) -> Array:
     lengths = np.linalg.norm(maps[:, :, 0], axis=1) + np.linalg.norm(maps[:, :, 1], axis=1)
+    # the centre of the board is in front of the camera
     sign = np.where(maps[:, 2, 2] < 0, -1.0, 1.0)
     scaled = maps * (2 * sign / lengths)[:, None, None]
     normal = np.cross(scaled[:, :, 0], scaled[:, :, 1])
@@ -110,6 +115,7 @@ def _poses_of_homographies(maps: Array) -> Array:
 
 def _poses_of_projections(maps: Array) -> Array:
     determinant = np.linalg.det(maps[:, :, :3])
+    # divided by the cube root of the determinant, with its sign: R has determinant 1, and -R would be a reflection
     scaled = maps / (np.cbrt(np.abs(determinant)) * np.where(determinant < 0, -1.0, 1.0))[:, None, None]
     return poses.pose(nearest_rotation(scaled[:, :, :3]), scaled[:, :, 3])
 
@@ -181,6 +187,7 @@ def _orthogonal_iteration(scene: TargetImages, local: Array, rays: Array, start_
     project = direction[:, None] * direction[None]
     points = local[scene.target].T
     counts = np.maximum(np.bincount(scene.view, minlength=scene.views), 1)
+    # of each view once: it depends on the rays alone
     gain = np.linalg.inv(np.eye(3) - _sums(project.reshape(9, -1), scene).reshape(-1, 3, 3) / counts[:, None, None])
     centre = _sums(points, scene) / counts[:, None]
     rotation = poses.rotation_of(start_poses)

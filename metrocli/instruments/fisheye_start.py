@@ -53,6 +53,8 @@ def _posed(scene: TargetImages, lens: Mapping[str, float]) -> tuple[Array, float
     ahead = np.einsum("nab,bn->an", turn[scene.view], np.where(known, seen, 0.0))
     near = ahead[2] > _WIDEST
     flat = ahead[:2] / np.where(near, ahead[2], 1.0)
+    # turned to the middle of its points a fisheye is a pinhole near the axis,
+    # so that the start of cameras serves it too
     part = TargetImages(scene.points, flat, scene.target, scene.view, scene.views).selected(near)
     _, pose = start(part, np.zeros(2), 1.0, 1.0)
     pose = poses.compose(poses.pose(np.swapaxes(turn, 1, 2), np.zeros(3)), pose)
@@ -67,5 +69,6 @@ def _to_axis(middle: Array) -> Array:
     unit = middle / np.maximum(np.linalg.norm(middle, axis=1, keepdims=True), 1e-300)
     across = np.stack([unit[:, 1], -unit[:, 0], np.zeros(len(unit))], axis=1)
     size = np.linalg.norm(across, axis=1, keepdims=True)
+    # atan2 has no singularity at a right angle, and of a direction on the axis it is 0
     angle = np.arctan2(size, unit[:, 2:])
     return rotation_from_vector(across / np.maximum(size, 1e-300) * angle)

@@ -92,6 +92,7 @@ def closed_loop(beams: Beams) -> Meeting:
 def nearest(beams: Beams) -> Array:
     """Return the place (3,) that fits all beams best: beams with a distance count as points, others as lines."""
     towards, has = beams.towards, beams.measured
+    # a point holds all three directions, a line the two across it
     square = np.where(has[:, None, None], np.eye(3), across(towards))
     ends = beams.receiver + np.where(has, beams.distance, 0.0)[:, None] * towards
     return np.asarray(np.linalg.solve(square.sum(axis=0), np.einsum("nij,nj->i", square, ends)))
@@ -103,6 +104,7 @@ def set_up_angle(beams: Beams) -> float:
     The paper takes the arithmetic mean, which is wrong if the differences lie on both sides of +-180 degrees.
     """
     towards = beams.towards
+    # minus u: the beam leaves the unit against the direction in which the receiver looks
     difference = np.arctan2(-towards[:, 1], -towards[:, 0]) - beams.launch_base
     # the mean of angles is that of their directions (docs/instruments/launch-unit.md)
     return float(np.arctan2(np.sin(difference).mean(), np.cos(difference).mean()))

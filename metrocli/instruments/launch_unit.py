@@ -106,6 +106,7 @@ class Encoders:
     def step(self, value: Array, local: LinkContext) -> Step:
         """Return base and tilt [rad], (2, n), with their derivatives by the beam."""
         x, y, z = value
+        # a vertical beam has no base angle; the least number keeps the division finite
         level2 = np.maximum(x * x + y * y, np.finfo(float).tiny)
         level, square = np.sqrt(level2), level2 + z * z
         over = local.observations.conditions.get(OVER, np.zeros(1))

@@ -48,6 +48,7 @@ def _fitted(points: Array, rays: Array, view: Index, views: int) -> Array:
     rows[:, 0, :c] = rows[:, 1, c : 2 * c] = points
     rows[:, 0, 2 * c :] = -rays[0][:, None] * points
     rows[:, 1, 2 * c :] = -rays[1][:, None] * points
+    # the eigenvector of the least eigenvalue: the map of unit length with the least algebraic error
     _, vectors = np.linalg.eigh(grams(rows, view, views))
     nulls: Array = np.ascontiguousarray(vectors[:, :, 0]).reshape(views, 3, c)
     return nulls
@@ -64,6 +65,7 @@ def _spacing(rays: Array, view: Index, views: int) -> Array:
     """Return the typical distance of neighbouring image points of each view, as if they filled a square, (views,)."""
     counts = np.maximum(np.bincount(view, minlength=views), 1)
     middle, square = (np.stack([np.bincount(view, row, views) for row in part]) / counts for part in (rays, rays**2))
+    # a uniform square of side a has a variance of a^2/12 along each side
     side = np.sqrt(6 * np.maximum((square - middle**2).sum(axis=0), 0.0))
     return np.asarray(side / np.sqrt(counts), dtype=float)
 
@@ -81,10 +83,12 @@ def _medians(values: Array, view: Index, views: int) -> Array:
 def _sampled(points: Array, rays: Array, view: Index, views: int) -> Array:
     """Return for each view the map through a random sample of readings that has the least median misfit."""
     rng = np.random.default_rng(0)
+    # 4 points for a homography, 6 for a projection: each gives two equations for 3 c - 1 unknowns
     size = 3 * points.shape[1] // 2
     best, least = np.zeros((views, 3, points.shape[1])), np.full(views, np.inf)
     starts = np.concatenate([[0], np.cumsum(np.bincount(view, minlength=views))])[:-1]
     for _ in range(_ROUNDS):
+        # a random order within each view: its first `size` readings are the sample
         order = np.lexsort((rng.uniform(size=len(view)), view))
         taken = order[np.arange(len(view)) - starts[view[order]] < size]
         maps = _fitted(points[taken], rays[:, taken], view[taken], views)

@@ -148,6 +148,7 @@ class Axis:
         free = np.ones((len(self.knots), 6), dtype=bool)
         knots, weights = self._at_reference
         free[[[0], [-1]], self.straightness] = False
+        # the knot at the reference, if there is one: then `places` need not subtract r there
         free[knots[np.argmax(weights)], ~self.straightness] = False
         return np.asarray(free & np.array([name in estimated for name in errors_of(self.letter)]))
 
@@ -190,6 +191,7 @@ class Axis:
 
 def bracket(knots: Array, position: Array) -> tuple[Index, Array]:
     """Return the lower knot of the interval of each position, and the position in the interval as a share, 0 to 1."""
+    # the end intervals go on beyond the knots: a position just outside is extrapolated
     lower = np.clip(np.searchsorted(knots, position, side="right") - 1, 0, len(knots) - 2)
     return lower, (position - knots[lower]) / (knots[lower + 1] - knots[lower])
 
@@ -240,6 +242,7 @@ class Machine:
 
     def lever(self, axis: int, position: Array, tool: Array) -> Array:
         """Return the lever L_a, (3, n), at positions (3, n) with tool vectors (3, n) or (3, 1)."""
+        # a copy, since positions are added in place
         lever = np.repeat(tool, position.shape[1], axis=1) if tool.shape[1] == 1 else tool.copy()
         carried = list(self.carried(axis))
         lever[carried] += position[carried]

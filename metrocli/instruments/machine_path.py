@@ -69,6 +69,7 @@ class Path:
     @cached_property
     def across(self) -> Array:
         """Return two unit vectors across each leg, (legs, 2, 3)."""
+        # the axis that the leg has least of, so that the cross product is long
         least = np.eye(3)[np.argmin(np.abs(self.direction), axis=1)]
         first = np.cross(self.direction, least)
         first /= np.linalg.norm(first, axis=1, keepdims=True)
@@ -111,6 +112,7 @@ class Path:
         near = np.arange(len(leg))
         stays = np.diff(leg) == 0
         before, after = near.copy(), near.copy()
+        # only neighbours on the same leg: across a vertex the distance along it begins anew
         before[1:] -= stays
         after[:-1] += stays
         passed = time[after] - time[before]
@@ -163,6 +165,7 @@ def travelled(path: Path, feeds: Array, sampling: float) -> tuple[Index, Array, 
 
     The machine accelerates to the feed and brakes on each leg, and rests at each vertex.
     """
+    # a leg too short for the feed: it accelerates over its first half and brakes over the second
     ramp = np.minimum(feeds / _ACCELERATION, np.sqrt(path.lengths / _ACCELERATION))
     top = ramp * _ACCELERATION
     moving = path.lengths / top + ramp
@@ -173,5 +176,6 @@ def travelled(path: Path, feeds: Array, sampling: float) -> tuple[Index, Array, 
     left = np.minimum(since, moving[leg] - since)
     ramped = np.minimum(left, ramp[leg])
     early = ramped**2 * _ACCELERATION / 2 + np.maximum(left - ramp[leg], 0.0) * top[leg]
+    # the second half is the mirror of the first
     along = np.where(since <= moving[leg] / 2, early, path.lengths[leg] - early)
     return leg, along, time

@@ -49,6 +49,7 @@ class LineNoise:
         """Return the covariance of the channels of lines along unit vectors (3, n), (6, 6, n)."""
         covariance = np.zeros((6, 6, along.shape[1]))
         square = self.straightness**2
+        # `straightness^2` in all directions, and along the beam what makes it `displacement^2`
         covariance[:3, :3] = (
             np.eye(3)[:, :, None] * square + (self.displacement**2 - square) * along[:, None] * along[None]
         )

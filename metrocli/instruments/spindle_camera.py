@@ -154,6 +154,7 @@ def rays(spindle: Array, camera: Array, angle: float, seen: Array, points: Array
 
 def camera_in_machine(spindle: Array, angle: float, camera: Array) -> Array:
     """Return the poses (n, 6) of the camera in the machine, `R_CNC R_S R_cal`, `R_CNC R_S d_cal + d_CNC` (eq. 21)."""
+    # the rotation itself, R_S: swapping the axes undoes the transpose that `_coupling_rotation` returns
     turn = poses.pose(np.swapaxes(_coupling_rotation(np.array([angle])), 0, 2)[0], np.zeros(3))
     held: Array = poses.compose(spindle, np.broadcast_to(poses.compose(turn, camera), spindle.shape))
     return held
@@ -202,9 +203,11 @@ def _linear(lines: Rays) -> Array:
     local = local / scale
     matrix = np.concatenate([across * local[:, k, None, None] for k in range(3)] + [across], axis=2).reshape(-1, 12)
     right = (across @ lines.origin[:, :, None]).ravel()
+    # a cut-off: a flat part leaves the column of R along its normal open
     solved = np.linalg.lstsq(matrix, right, rcond=1e-9)[0]
     entries = solved[:9].reshape(3, 3).T
     columns = np.linalg.norm(entries, axis=0)
+    # that column is the cross product of the others
     if columns.min() < 1e-6 * max(columns.max(), 1e-300):
         entries[:, int(columns.argmin())] = np.cross(
             entries[:, (columns.argmin() + 1) % 3], entries[:, (columns.argmin() + 2) % 3]
@@ -216,6 +219,7 @@ def _best(lines: Rays, rotations: Array, turns: int) -> tuple[Array, float]:
     """Return the pose with the smallest misfit reached from any of the rotations (k, 3, 3), and this misfit."""
     take(_AS_LONG)
     across = _across(lines)
+    # pinv: parallel rays leave the shift along them open
     gain = np.linalg.pinv(across.sum(axis=0))
     local = lines.point - lines.point.mean(axis=0)
     for _ in range(turns):
@@ -228,6 +232,7 @@ def _best(lines: Rays, rotations: Array, turns: int) -> tuple[Array, float]:
     depth = (gap * lines.direction).sum(axis=2)
     off = np.linalg.norm(np.einsum("nab,knb->kna", across, gap), axis=2)
     misfit = np.sqrt(((off / np.where(depth > 0, depth, 1.0)) ** 2).mean(axis=1))
+    # a pose behind the camera fits the lines as well as one in front
     misfit[(depth <= 0).any(axis=1)] = np.inf
     best = int(np.argmin(misfit))
     return poses.pose(rotations[best], shift[best]), float(misfit[best])

@@ -66,6 +66,7 @@ def _levelled(local: LinkContext) -> Array:
     x, y = _leaning(local, LEAN)
     # the turn by (-y, x, 0) brings z to the vertical (x, y, 1)
     leaning = rotation_from_vector(np.stack([-y, x, np.zeros_like(x)], axis=1))
+    # transposed in the same step: (n, row, column) becomes (column, row, n)
     return np.ascontiguousarray(np.transpose(leaning, (2, 1, 0)))
 
 

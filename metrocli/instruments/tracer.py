@@ -170,6 +170,7 @@ def stop_block(stops: Index) -> Block | None:
 
 def datum(points: Block, takes_part: Array) -> Datum:
     """Return the inner constraints of a free network on the points (Härtig et al. eq. 8)."""
+    # without scale: lengths fix it
     places = of_points()
     tracers = of_members(len(COLUMNS), places)
     return Datum(POINT, points.values, takes_part, {POINT: places, TRACER: tracers}, FREEDOMS)

@@ -77,11 +77,13 @@ def _guesses(local: Array, reading: Array, absolute: bool) -> list[Array]:
         return []
     solved = np.linalg.lstsq(matrix, (local**2).sum(axis=1) - reading**2, rcond=None)[0]
     inside, dead, constant = solved[:rank], 0.0 if absolute else float(solved[rank]), float(solved[-1])
+    # `|x0|^2` is among the unknowns, so that the height above the plane follows from it, but not its sign
     across = np.sqrt(max(constant + dead**2 - float(inside @ inside), 0.0))
     guesses = []
     for sign in (1.0, -1.0) if rank < 3 else (0.0,):
         place = inside @ axes[:rank]
         if rank < 3:
+            # at least a tenth of the extent: from the plane itself no derivative leads out of it
             place = place + sign * max(across, 0.1) * (axes[rank] if rank < len(axes) else np.array([0.0, 0.0, 1.0]))
         guesses.append(np.array([*place, dead]))
     if rank == 3 and len(local) >= _ENOUGH:
@@ -101,6 +103,7 @@ def _unspoiled(local: Array, reading: Array, absolute: bool) -> Array:
     matrix = np.concatenate([2 * local[rows], *([] if absolute else [2 * known]), last], axis=2)
     right = (local[rows] ** 2).sum(axis=2) - reading[rows] ** 2
     states = (np.linalg.pinv(matrix) @ right[:, :, None])[:, :, 0]
+    # of absolute lengths the fourth unknown is the constant, and the dead path is 0
     states[:, 3] *= not absolute
     some = np.linspace(0, n - 1, min(n, _COMPARED)).astype(int)
     miss = reading[some] + states[:, 3:4] - np.linalg.norm(local[some] - states[:, None, :3], axis=2)
@@ -127,6 +130,7 @@ def _refined(local: Array, reading: Array, guess: Array, absolute: bool) -> tupl
         if np.abs(state - before).max() < _STILL:
             break
     miss = np.abs(_residual(local, reading, state, absolute)[0])
+    # clipped, so that one gross error does not decide between two places
     return state, float(np.minimum(miss, _GROSS * median(miss) + _ROUNDING).mean())
 
 

@@ -62,6 +62,7 @@ def align(track: Array, track_tool: Index | None, path: Path, tools: Array) -> A
         pose = np.asarray(poses.fit_pose(points[:, good].T, nominal[:, matched[good]].T))
         moved = np.abs(poses.apply(pose, points.T).T - aligned).max()
         before, most = most, _most(float(np.median(off)), spacing)
+        # not in the round in which the limit comes into force, since that changes the matching
         if moved < _SETTLED * spacing and np.isfinite(before) == np.isfinite(most):
             break
     return Alignment(pose, rows, way[matched], float(np.median(off)))
@@ -96,6 +97,7 @@ def _elsewhere(points: Array) -> Mask:
     step[jumps], leaps = 0.0, step[jumps]
     length = np.bincount(piece[:-1], step, minlength=len(jumps) + 1)
     still = np.zeros(len(length), dtype=bool)
+    # a piece between two jumps; the first and the last have only one, and may be the track itself
     still[1:-1] = length[1:-1] < _STILL * np.minimum(leaps[1:], leaps[:-1])
     return np.asarray(still[piece])
 
@@ -126,6 +128,7 @@ def _in_order(cost: Array) -> Index:
     best, choice = cost[0].copy(), np.zeros((rows, columns), dtype=np.int32)
     numbers = np.arange(columns, dtype=np.int32)
     for row in range(1, rows):
+        # the best end at or before each column: a row may stay where the one before it is
         least = np.minimum.accumulate(best)
         fresh = np.append(True, best[1:] < least[:-1])
         choice[row] = np.maximum.accumulate(np.where(fresh, numbers, 0))

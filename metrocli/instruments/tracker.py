@@ -163,5 +163,6 @@ class ReadPolar:
         read = value[self.component : self.component + 1]
         if self.component == AZIMUTH:
             given = local.observations.readings
+            # the turn of the reading, so that no residual is near a whole one
             read = given + np.remainder(read - given + np.pi, 2 * np.pi) - np.pi
         return Step(read, np.eye(3)[self.component, None, :, None])

@@ -136,6 +136,7 @@ def _sound(file: JobFile, job: Job[Any, Any], progress: Progress) -> Result:
         sigma0 = result.statistics.get("sigma0", 0.0)
         if task.diagnosed is None or not isinstance(sigma0, float):
             return result
+        # a sound job pays nothing for the other readings of its files (docs/decisions/058)
         if not suspicious(sigma0, result.list_offset):
             return _with_other_setting(result, adjustment, partial(task.others, job), sigma0 <= MOST)
     except MetrocliError as error:

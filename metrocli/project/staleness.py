@@ -145,6 +145,7 @@ def _still_named(job: JobFile, path: str) -> bool:
     places = (
         (os.path.abspath(job.folder / path) if pattern.is_absolute() else path, str(pattern)) for pattern in patterns
     )
+    # fnmatch lets a star match slashes too: `**/` is then a star that may be nothing
     return any(fnmatchcase(place, pattern.replace("**/", "*")) for place, pattern in places)
 
 

@@ -128,6 +128,7 @@ def _peek_output(job: _Listed) -> Path | None:
         stem = job.path.stem
         return job.path.parent / "results" / f"{stem}.h5"
     try:
+        # the output alone: faults of other entries are reported when the job is loaded
         alone = replace(job.root, entries=((output, output),))
         return path_beside(bound(alone, job.part).entries[0][1] if job.part else output)
     except InputError:
@@ -141,6 +142,8 @@ def _load_one(job: _Listed, wishes: JobOptions, jobs: dict[str, JobFile], faults
     try:
         jobs[job.name] = load(job.path, wishes)
     except InputError as error:
+        # jobs of several parts share the faults of their file; the last ones only,
+        # so that many jobs take no square of time
         faults.extend(fault for fault in error.faults if fault not in faults[-MOST_FAULTS:])
 
 
@@ -161,6 +164,7 @@ def _makers(listed: Sequence[_Listed], jobs: Mapping[str, JobFile], faults: list
 
 def _needed(job: JobFile, makers: Mapping[Path, str]) -> tuple[str, ...]:
     named = [path for item in job.inputs for path in item.paths]
+    # a link to a result is that result
     paths = [place for path in named for place in (absolute(path), Path(os.path.realpath(path)))]
     return tuple(dict.fromkeys(makers[path] for path in paths if path in makers))
 
@@ -176,6 +180,7 @@ def _ordered(listed: Sequence[_Listed], needs: Mapping[str, tuple[str, ...]]) ->
     for name, before in needs.items():
         for job in before:
             users.setdefault(job, []).append(name)
+    # by their place in the file: the order of jobs is the same in each run
     ready = [(place[name], name) for name, before in unmet.items() if not before]
     heapq.heapify(ready)
     ordered: list[str] = []
@@ -210,6 +215,7 @@ def selected(steps: Sequence[ProjectStep], only: Sequence[str], start: str | Non
     """
     if only:
         wanted = {step for name in only for step in _named(steps, name)}
+        # what a job needs stands before it: one pass from the end finds all
         for step in reversed(steps):
             wanted |= set(step.needs) if step.name in wanted else set()
     elif start is not None:

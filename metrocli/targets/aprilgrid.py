@@ -72,6 +72,7 @@ def tags_in(picture: Picture, wanted: int = 0) -> tuple[Index, Array]:
         others, corners = _detected(np.asarray(cv2.resize(grey, None, fx=2, fy=2, interpolation=cv2.INTER_CUBIC)))
         new = ~np.isin(others, numbers)
         numbers = np.concatenate([numbers, others[new]])
+        # the first pixel of the large image has its centre a quarter of a pixel before that of the small one
         seen = np.concatenate([seen, (corners[new] + 0.5) / 2 - 0.5])
     return numbers, seen
 

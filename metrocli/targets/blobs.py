@@ -62,6 +62,7 @@ def clearest(picture: Picture, candidates: list[Ellipse], most: int) -> list[Ell
 
 def _masks(grey: npt.NDArray[np.uint8]) -> list[npt.NDArray[np.uint8]]:
     """Return masks of the bright pixels: brighter than Otsu's threshold, than wide and than narrow surroundings."""
+    # not the maximum: some hot pixels would raise the step for all
     spread = int(np.percentile(grey[::4, ::4], 99.9)) - int(grey.min())
     step = max(6.0, STEP * spread)
     masks = [cv2.threshold(grey, 0, 255, cv2.THRESH_BINARY | cv2.THRESH_OTSU)[1]]
@@ -100,6 +101,7 @@ def _of_contour(contour: npt.NDArray[np.int32]) -> Ellipse | None:
         return None
     # The contour runs through the centres of the outermost pixels: half a pixel is added to each semi-axis.
     long, short = 2 * np.sqrt(mean + half), 2 * np.sqrt(mean - half)
+    # pixels make the outline of a small blob rougher
     round_enough = abs(area / (np.pi * long * short) - 1) < ROUND + 0.5 / short
     if not round_enough or 2 * short + 1 < SMALLEST or short + 0.5 < FLATTEST * (long + 0.5):
         return None

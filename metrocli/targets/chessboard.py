@@ -76,6 +76,7 @@ def _coarse(pattern: Pattern, grey: npt.NDArray[np.uint8]) -> Array | None:
         smaller = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
         corners = _searched(pattern, np.asarray(smaller, dtype=np.uint8))
         if corners is not None:
+            # not `factor`: the sides of the smaller image are rounded down
             return np.asarray((corners + 0.5) * np.divide(grey.shape[::-1], size) - 0.5)
     return _searched(pattern, grey) if factor == 1 or grey.size <= MOST_PIXELS else None
 
@@ -130,6 +131,7 @@ def _continues(grid: Array, picture: Picture) -> bool:
 def _continues_below(grid: Array, picture: Picture) -> bool:
     """Return whether the squares go on below the row that ends the board, where the last two rows of corners lead."""
     last, step = grid[-1], grid[-1] - grid[-2]
+    # the squares half a step below are on every board, those 1.25 steps below on one that goes on
     squares = _squares(np.concatenate([grid, [last + step, last + 1.5 * step]]), picture)
     if squares.shape[1] < _FEWEST_SQUARES or np.isnan(squares[-1]).any():
         return False

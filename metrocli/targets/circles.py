@@ -74,5 +74,6 @@ def _reaches(starts: list[Ellipse]) -> list[float]:
     reaches = []
     for start in starts:
         distance = np.linalg.norm((centres - (start.u, start.v)) @ start.shape.T, axis=1)
+        # the nearest is the circle itself
         reaches.append(float(np.sort(distance)[1]) / 2)
     return reaches

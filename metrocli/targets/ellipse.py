@@ -31,4 +31,6 @@ class Ellipse:
         cos, sin, a, b = np.cos(self.angle), np.sin(self.angle), self.long**-2.0, self.short**-2.0
         uu, uv, vv = a * cos * cos + b * sin * sin, (a - b) * cos * sin, a * sin * sin + b * cos * cos
         r = np.sqrt(vv)
+        # W'W is the quadratic form of the ellipse; a triangle leaves out the turn
+        # of the circle, which no grey value shows
         return np.array([[np.sqrt(max(uu - uv * uv / vv, 1e-300)), 0.0], [uv / r, r]])

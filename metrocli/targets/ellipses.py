@@ -105,11 +105,13 @@ class _Model:
     def move(self, step: Array) -> None:
         """Apply a step of the unknowns; its size is bounded so that a poor start does not diverge."""
         (p, _), (q, r) = self.shape.tolist()
+        # the mean semi-axis: the determinant of W is 1 over the product of both
         size = 1 / max(abs(p * r), 1e-12) ** 0.5
         bound = 0.3 / size
         du, dv, dp, dq, dr, wider, higher, more = (float(part) for part in step[:8])
         self.centre = self.centre + (_bounded(du, 0.3 * size), _bounded(dv, 0.3 * size))
         self.shape = np.array([[p + _bounded(dp, bound), 0.0], [q + _bounded(dq, bound), r + _bounded(dr, bound)]])
+        # beyond the size of the dot, a wider blur and a larger contrast look the same
         self.blur = min(max(self.blur + _bounded(wider, 0.3), 0.3), max(0.8, size))
         self.background += higher
         self.contrast += more
@@ -218,6 +220,7 @@ def _converged(model: _Model, at: Array, grey: Array, unknowns: int) -> tuple[Ar
         if step is None:
             return None
         model.move(step)
+        # the centre hardly depends on the blur, which need not stand as still
         if max(abs(step[0]), abs(step[1])) < STILL and abs(step[5]) < 10 * STILL:
             return residual - jacobian[:, :unknowns] @ step, jacobian[:, : max(unknowns, SLOPING)]
     return None
@@ -261,6 +264,7 @@ def _judged(model: _Model, residual: Array, jacobian: Array) -> FittedEllipse | 
         lever = np.linalg.inv(scaled.T @ scaled)[:2] @ scaled.T / scale[:2, None]
     except np.linalg.LinAlgError:
         return None
+    # the mean of both axes; residuals are smaller than the noise by the unknowns
     variance = (lever**2 @ residual**2).mean() * m / (m - unknowns)
     semi, turn = _axes_of(model.shape, model.blur)
     ellipse = Ellipse(float(model.centre[0]), float(model.centre[1]), float(semi[0]), float(semi[1]), turn)

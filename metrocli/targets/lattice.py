@@ -53,6 +53,7 @@ def determines_homography(plane: Array) -> bool:
     """Return whether images of these points (n, 2) determine a homography: not where all but one lie on a line."""
     own = _normalised(plane)[1]
     size = np.linalg.svd(_linear(own, own), compute_uv=False)
+    # a homography has eight unknowns, and the ninth singular value is 0 for any points
     return len(plane) >= 4 and bool(size[7] > _ON_A_LINE * size[0])
 
 
@@ -222,6 +223,7 @@ def _basis(uv: Array, seed: int) -> Array | None:
             continue
         if steps and abs(steps[0][0] * step[1] - steps[0][1] * step[0]) < 0.3 * length * np.hypot(*steps[0]):
             continue
+        # half the way between both neighbours: perspective lengthens one side as much as it shortens the other
         steps.append((step - offsets[order[np.argmin(np.linalg.norm(offsets[order] + step, axis=1))]]) / 2)
         if len(steps) == 2:
             return np.stack(steps)

@@ -146,6 +146,7 @@ def _coverage(rays: Rays, placed: PlacedDrawing, box: tuple[int, int, int, int],
     around = _around(blur)
     u, v = np.arange(u0 - around, u1 + around), np.arange(v0 - around, v1 + around)
     at = _on_plane(_ray_grid(rays, u, v), placed)
+    # between a number and infinity, interpolation gives nan
     at[~np.isfinite(at)] = FAR
     fine = at.shape[1] * FINE, at.shape[0] * FINE
     x, y = (cv2.resize(np.ascontiguousarray(at[..., axis]), fine).astype(np.float32) for axis in (0, 1))

@@ -50,6 +50,7 @@ class _Windows:
         """Return the windows of corners (n, 2)."""
         sides = np.linalg.norm(across, axis=1)
         half = np.clip(window * sides, NARROWEST, WIDEST)
+        # half of the box about the window, whose sides are along the edges
         reach = np.einsum("nij,nj->ni", np.abs(across / sides[:, None]), half)
         first, last = np.ceil(start - reach).astype(int), np.floor(start + reach).astype(int)
         wide, high = np.maximum((last - first).max(axis=0, initial=0) + 1, 1)
@@ -185,6 +186,7 @@ def _moved(state: Array, step: Array) -> Array:
 def _judged(windows: _Windows, state: Array, residual: Array, jacobian: Array) -> tuple[Array, Array]:
     """Return states and standard deviations, NaN where the corner is far from where it was sought."""
     sides = np.linalg.norm(windows.across, axis=1).min(axis=1)
+    # by the usual window, also where a marker nearby makes the used one smaller
     lost = np.linalg.norm(state[:, :2] - windows.start, axis=1) > LOST * np.maximum(WINDOW * sides, NARROWEST)
     normal, weighted, scale = windows.normal(jacobian, 1e-12)
     lever = np.linalg.inv(normal)[:, :2] / scale[:, :2, None] / scale[:, None] @ weighted

@@ -100,6 +100,7 @@ def _by_entry(entries: Table, machine: Machine, position: Array, tool: Array) ->
             columns = np.flatnonzero(error == name)
             derivative[rows, :, columns[lower]] = (by_error[:, k] * (1 - share)).T
             derivative[rows, :, columns[lower + 1]] = (by_error[:, k] * share).T
+    # squareness acts on the position alone: a tool vector takes no part in it, so 0 stands in its place
     by_angle = next(iter(by_squareness(position, np.zeros(3))[1].values()))
     for k, name in enumerate(SQUARENESS_NAMES):
         derivative[:, :, error == name] = by_angle[:, k].T[:, :, None]

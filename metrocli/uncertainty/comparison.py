@@ -293,6 +293,7 @@ def _tested(difference: Array, covariance: Array) -> tuple[float, int]:
         return 0.0, 0
     size = np.sqrt(np.diag(covariance))
     values, vectors = np.linalg.eigh(covariance / size[:, None] / size)
+    # a correlation matrix, so that one bound serves quantities of all units
     good = values > _ROUNDING * values[-1]
     scores = (vectors.T @ (difference / size))[good] / np.sqrt(values[good])
     return float(scores @ scores), int(good.sum())

@@ -37,6 +37,7 @@ class JointDistribution:
     def __call__(self, rng: np.random.Generator, count: int) -> Sequence[tuple[int, Array]]:
         values = self.factor @ rng.standard_normal((self.factor.shape[1], count))
         if math.isfinite(self.dof):
+            # one chi-square for all: they share one estimate of the noise, and would otherwise not be jointly t
             values /= np.sqrt(rng.chisquare(self.dof, count) / self.dof)
         return list(zip(self.indices, values, strict=True))
 
@@ -108,15 +109,18 @@ class UnreachableError(ValueError):
 
 def _normal_correlation(a: Distribution, b: Distribution, wanted: float) -> float:
     """Return the correlation of two normal numbers that gives `wanted` after the quantile transformation."""
+    # of two symmetric shapes of one kind 1 is reached by 1, where the quadrature would stay just below
     if wanted == 0 or (type(a) is type(b) and abs(wanted) == 1 and _symmetric(a)):
         return wanted
     nodes, weights = np.polynomial.hermite_e.hermegauss(64)
     weights = weights / weights.sum()
     first = _standard(a, nodes)
+    # interpolated: the quantile function of some shapes is far too slow for 64 x 64 values in each of 50 steps
     second_grid = np.linspace(-8.5, 8.5, 4001)
     second = _standard(b, second_grid)
 
     def reached(rho: float) -> float:
+        # the partner of a normal number with correlation rho, so that a product rule over two independent ones suffices
         partner = rho * nodes[:, None] + math.sqrt(max(1 - rho * rho, 0.0)) * nodes
         values = np.interp(partner, second_grid, second)
         return float(weights @ (first[:, None] * values) @ weights) / norm
@@ -141,5 +145,6 @@ def _standard(a: Distribution, at: Array) -> Array:
     """Return the quantiles of a distribution at normal numbers, with mean 0."""
     from scipy.special import ndtr
 
+    # an unbounded shape has an infinite value where the probability rounds to 0 or 1
     p = np.clip(ndtr(at), 1e-15, 1 - 1e-15)
     return a.quantile(p)

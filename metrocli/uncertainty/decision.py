@@ -104,6 +104,7 @@ def global_risk(items: Items, std: float, limits: Interval, accepted: Interval) 
         chance: Array = ndtr((y - accepted.high) / std) + ndtr((accepted.low - y) / std)
         return chance
 
+    # the integrand varies over the narrower of both widths: 16 nodes on half of it are exact to rounding
     step = min(std, items.std) / 2
     wrong = sum(_integral(items, acceptance, part, step) for part in _outside(limits, accepted, std))
     lost = sum(_integral(items, rejection, part, step) for part in _at_edges(limits, accepted, std))
@@ -115,6 +116,7 @@ def global_risk(items: Items, std: float, limits: Interval, accepted: Interval) 
 def _outside(limits: Interval, accepted: Interval, std: float) -> list[Interval]:
     """Return the parts beyond the limits from which an item can still be accepted."""
     reach = _REACH * std
+    # a missing limit is infinite; its part then has no width, and its integral is 0
     return [Interval(accepted.low - reach, limits.low), Interval(limits.high, accepted.high + reach)]
 
 
@@ -123,6 +125,7 @@ def _at_edges(limits: Interval, accepted: Interval, std: float) -> list[Interval
     reach = _REACH * std
     low = Interval(limits.low, min(accepted.low + reach, limits.high))
     high = Interval(max(accepted.high - reach, limits.low), limits.high)
+    # one part where both edges overlap, so that nothing is counted twice
     return [Interval(low.low, high.high)] if low.high >= high.low else [low, high]
 
 

@@ -67,6 +67,7 @@ class StudentT:
     def draw(self, rng: Random, count: int) -> Array:
         # Polar method of Bailey (Mathematics of Computation 62, 1994, 779): t = sqrt(n (U^(-2/n) - 1)) cos(2 pi V).
         radius = rng.random(count)
+        # 1 - U is in (0, 1], of which the logarithm exists
         np.log(np.subtract(1.0, radius, out=radius), out=radius)
         radius *= -2 / self.dof
         with np.errstate(over="ignore"):  # of very few degrees of freedom numbers end at infinity
@@ -124,6 +125,7 @@ class Trapezoidal:
 
     def draw(self, rng: Random, count: int) -> Array:
         wide, narrow = self.half_width * (1 + self.beta), self.half_width * (1 - self.beta)
+        # the sum of two uniform numbers of different widths is a trapezoid
         values = rng.random(count)
         values *= wide
         values += narrow * rng.random(count)
@@ -131,6 +133,7 @@ class Trapezoidal:
         return values
 
     def quantile(self, p: Array) -> Array:
+        # symmetric: the lower half is calculated, and the upper one is its mirror
         low = np.minimum(p, 1 - p)
         side = np.sqrt(2 * low * (1 - self.beta**2)) - 1
         middle = (2 * low - 1) * (1 + self.beta) / 2
@@ -165,6 +168,7 @@ class CurvilinearTrapezoid:
         return values
 
     def quantile(self, p: Array) -> Array:
+        # the cumulative distribution has no inverse in closed form
         grid = np.linspace(-1, 1, 20_001) * (self.half_width + self.inexactness)
         values: Array = np.interp(p, self._cumulative(grid), grid)
         return values
@@ -285,5 +289,6 @@ def in_trials(distribution: Distribution, dof: float) -> Distribution:
     if isinstance(distribution, Normal):
         return StudentT(distribution.std, dof)
     if isinstance(distribution, Uniform):
+        # at most the half-width itself: below 1/2 degree of freedom it would become negative
         return CurvilinearTrapezoid(distribution.half_width, distribution.half_width * min(1 / math.sqrt(2 * dof), 1))
     return distribution

@@ -84,6 +84,7 @@ def _edges(plan: TrialsPlan) -> tuple[Edges, ...]:
 
 def _resumed(work: Work, workers: Workers, numbers: Sequence[int]) -> Iterator[Batch]:
     """Yield all batches in order: stored ones of an earlier run, and the others computed now."""
+    # with the version of numpy, whose streams and functions may round differently
     key = hashlib.sha256(pickle.dumps((work, np.__version__), protocol=4)).hexdigest()[:16]
     kept = ((number, workers.finished.get(key, number)) for number in numbers)
     held = {number: Batch.restored(arrays) for number, arrays in kept if arrays is not None}
@@ -133,6 +134,7 @@ def tolerance_of(std: float, digits: int) -> float:
     """Return the numerical tolerance: half of the last of `digits` significant digits of u (JCGM 101, 7.9.2)."""
     if not std > 0:
         return 0.0
+    # rounded to its digits first: 0.0996 has the last digit of 0.10
     exponent = math.floor(math.log10(float(f"{std:.{digits - 1}e}"))) - (digits - 1)
     return float(0.5 * 10.0**exponent)
 
@@ -157,6 +159,7 @@ def _adaptive(plan: TrialsPlan, workers: Workers, digits: int, most: int) -> Mon
     outcome = _gathered(plan, kept)
     if converged:
         return outcome
+    # from all values so far, which reach farther than a pilot run
     edges = tuple(Edges.around(row.values) for row in outcome.samples if isinstance(row, Sorted))
     total = Batch(_tally(kept), np.concatenate([batch.spread for batch in kept]), None, _binned(outcome, edges))
     first = len(kept)

@@ -24,6 +24,7 @@ def factor(components: Index | int, dof: Array | float) -> Array:
     With a covariance from `dof` degrees of freedom the square of a deviation, divided by q, has that F distribution.
     """
     q, dof = np.broadcast_arrays(np.asarray(components), np.asarray(dof, dtype=float))
+    # k of 0 components is that of one: a deviation of rank 0 needs some number, and nothing is divided by it
     k = np.array(np.array([COVERAGE[0], *COVERAGE])[q])
     few = np.isfinite(dof) & (q > 0)
     if few.any():
@@ -69,6 +70,7 @@ class Numbers:
     def apply(self, part: Operation, arguments: Sequence[Any]) -> Any:
         """Return the outcome of one operation."""
         with np.errstate(all="ignore"):
+            # several times faster than a power, and the most frequent one
             if part.operation == "**" and isinstance(arguments[1], float) and arguments[1] == 2.0:
                 return np.square(arguments[0])
             return _FUNCTIONS[part.operation](*arguments)

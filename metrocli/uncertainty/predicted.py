@@ -72,6 +72,7 @@ def reached(result: Result, commanded: Table) -> PredictedPlaces:
     tools = result.tables["tools"]
     which = _tools(tools, commanded, [] if turns(result) else outside(result, commanded))
     place, by_entry, by_vector = tips(result, commanded, which) if turns(result) else _shifted(result, commanded, which)
+    # each place has the columns of all tools, of which those of others are zero
     by_tool = by_vector[:, :, None, :] * (which[:, None] == np.arange(len(tools)))[:, None, :, None]
     common = np.concatenate([by_entry, by_tool.reshape(len(which), 3, -1)], axis=2)
     entries, size = len(by_entry[0, 0]), common.shape[2]
@@ -121,6 +122,7 @@ def points_of(result: Result) -> PredictedPlaces:
     common, core = result.arrays.get(COMMON), result.arrays.get(CORE)
     if common is None or core is None:
         return independent(values, whole)
+    # what the factors do not explain is each point's own
     return PredictedPlaces(values, common, core, whole - shared(common, core))
 
 

@@ -86,6 +86,7 @@ def _attempt(model: Expression, inputs: Inputs) -> LinearPropagation:
         with np.errstate(over="ignore", invalid="ignore"):
             return _linear(model, inputs)
     except NoValueError as error:
+        # no derivative, but a value, as of |x| at 0: Monte Carlo has the uncertainty then
         value = float(evaluate(model, inputs.values))
         if not error.differentiable or not math.isfinite(value):
             raise
@@ -105,11 +106,13 @@ def _linear(model: Expression, inputs: Inputs) -> LinearPropagation:
     variance = max(float(gradient @ own @ gradient), 0.0)
     if not math.isfinite(variance):
         raise NoValueError("the uncertainty of the model is too large for a number", 0, "numbers reach to 1e150")
+    # the third derivatives are needed along one direction only, `V g`
     jet = model.carried_out(replace(algebra, direction=own @ gradient))
     turned = np.broadcast_to(jet.hessian, own.shape) @ own
     more = 0.5 * float(np.trace(turned @ turned)) + float(np.sum(jet.along * own))
     slopes = np.zeros(len(names))
     slopes[used] = gradient
+    # derivatives that cancel, as of x - x, leave rounding that would stand in a budget as a contributor
     if (np.abs(slopes) * np.sqrt(np.diag(covariance)) <= _ROUNDING * abs(float(jet.value))).all():
         slopes, variance, more, turned = np.zeros(len(names)), 0.0, 0.0, np.zeros_like(turned)
     dof, notes = effective_dof(inputs, slopes)

@@ -97,6 +97,7 @@ def repeated(results: Sequence[Result], times: Sequence[float]) -> RepeatedCalib
 
 def _drift(name: tuple[str, str], rows: Sequence[Measured], at: Array) -> Drift:
     values, std = np.array([row.value for row in rows]), np.array([row.std for row in rows])
+    # without a weight for all of them each counts alike
     weights = 1 / std**2 if (std > 0).all() else np.ones(len(std))
     moved = at - np.average(at, weights=weights)
     gradient = weights * moved / (weights * moved**2).sum()
@@ -106,6 +107,7 @@ def _drift(name: tuple[str, str], rows: Sequence[Measured], at: Array) -> Drift:
     doubt = float(sum(part**2 / row.dof for part, row in zip(parts, rows, strict=True)))
     k = float(factor(1, variance**2 / doubt if doubt > 0 else np.inf))
     spread = float(np.sqrt(variance))
+    # differences from the first: a slope of 1e-9 beside a value of 1e3 would lose its digits
     return Drift(*name, float(gradient @ (values - values[0])), spread, rows[0].unit, k * spread)
 
 

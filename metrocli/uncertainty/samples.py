@@ -64,7 +64,7 @@ class Edges:
 
     @classmethod
     def around(cls, values: Array) -> Edges:
-        """Return bins that extend beyond the values of a pilot run by their range at each end."""
+        """Return bins that extend beyond the values of a pilot run by half of their range at each end."""
         low, high = float(values.min()), float(values.max())
         span = (high - low) or max(abs(low), 1.0) * 1e-9
         return cls(low - span / 2, 2 * span / BINS)
@@ -106,6 +106,7 @@ class Binned:
     def shortest(self, probability: float) -> tuple[float, float]:
         reached = np.cumsum(self.counts)
         _, inside = _ranks(int(reached[-1]), probability)
+        # lower ends at edges of bins only: between them the width changes by less than a bin, which `resolution` states
         firsts = np.unique(reached[reached > 0])
         firsts = np.concatenate([[1], firsts[firsts + inside <= reached[-1]]])
         lows, highs = self._at(firsts.astype(float), reached), self._at((firsts + inside).astype(float), reached)
@@ -114,6 +115,7 @@ class Binned:
 
     def below(self, limit: float) -> float:
         reached = np.concatenate([[0], np.cumsum(self.counts)])
+        # the open bins at the ends are taken as one width wide
         at = self.edges.low + self.edges.width * np.arange(-1, BINS + 2, dtype=float)
         return float(np.interp(limit, at, reached / reached[-1]))
 

@@ -53,6 +53,7 @@ class TrialsPlan:
         if self.trials is not None:
             return CHUNK
         outside = max(1 - self.probability, 1e-15)
+        # 100 values beyond the interval in each chunk, so that its ends mean something; 1e-9 undoes rounding of 1 - p
         return max(CHUNK, math.ceil(100 / outside * (1 - 1e-9)))
 
     def count(self, number: int) -> int:
@@ -62,6 +63,7 @@ class TrialsPlan:
     def outcomes(self, number: int) -> Array:
         """Return the deviations of the measurands from their centres in one chunk, (measurands, trials)."""
         # the stream depends on seed and number only; sources draw in a fixed order
+        # SFC64 is among the fastest generators of numpy; streams of different spawn keys are independent
         rng = np.random.Generator(np.random.SFC64(np.random.SeedSequence(self.seed, spawn_key=(number,))))
         count = self.count(number)
         values: dict[str, Any] = dict(zip(self.names, self.values, strict=True))
@@ -195,6 +197,7 @@ class NoOutcomeError(UndeterminedError):
 
 def _refuse_lost(values: Array, plan: TrialsPlan) -> None:
     # leaving lost trials out would change the distribution (docs/algorithms/monte-carlo-chunks.md)
+    # `~(... < ...)`, so that nan is lost as well
     lost = ~(np.abs(values) < LARGEST)
     if lost.any():
         row = int(np.argmax(lost.any(axis=1)))

@@ -92,6 +92,7 @@ def _keys(result: Result, machine: Machine) -> list[tuple[str, str]]:
         number = count.get(name, 0)
         count[name] = number + 1
         own = members.get(name[-1], ())
+        # a full turn lists its first knot again at its end, which has no unknowns of its own
         member = "" if np.isnan(at) else own[number] if number < len(own) else "the first"
         keys.append((name, member))
     return keys
@@ -109,6 +110,7 @@ def _blocks(result: Result, machine: Machine) -> dict[str, Block]:
     blocks += [axis.location_block(known, ()) for axis in machine.axes if isinstance(axis, RotaryAxis)]
     blocks += [squareness_block(known, ()), spindle_block(known, ())]
     blocks.append(tool_block(machine.tools, result.tables["tools"].texts("tool"), 0.0))
+    # all free, since their derivatives are wanted for the covariance of the result
     return {block.name: replace(block, free=np.array(True)) for block in blocks}
 
 

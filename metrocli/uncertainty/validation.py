@@ -79,6 +79,7 @@ def _reasons(judged: Judged) -> Sequence[str]:
             lines.append(
                 f"the distribution is skew: the middle of its interval lies {skew / judged.mc_std:+.2f} u from its mean"
             )
+        # only where nothing else is named: the other reasons change U as well
         if not lines and not math.isclose(judged.U, half, rel_tol=_NOTABLE / 2):
             lines.append(f"U is {judged.U / half:.3f} times the half-width of the coverage interval")
     return lines or ["the intervals differ by slightly more than the significant digits allow"]

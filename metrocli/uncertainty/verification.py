@@ -239,6 +239,7 @@ def _after_fit(places: PredictedPlaces, own: Array) -> Array:
     n = len(own)
     centred = places.values - places.values.mean(axis=0)
     motions = np.zeros((n, 3, 6))
+    # turns by the size of the part: columns of one order keep the QR exact
     motions[:, :, :3], motions[:, :, 3:] = np.eye(3), cross_matrix(centred) / np.abs(centred).max()
     basis = np.linalg.qr(motions.reshape(-1, 6))[0].reshape(n, 3, 6)
     common = places.common - basis @ np.einsum("nia,nik->ak", basis, places.common)
@@ -263,6 +264,7 @@ def _points(names: list[str], vectors: Array, covariance: Array, dof: Array) -> 
     en[np.linalg.norm(np.where(kept, 0.0, parts), axis=1) > _ROUNDING] = np.inf
     sizes = np.linalg.norm(vectors, axis=1)
     widest = k * np.sqrt(np.maximum(values[:, -1], 0.0))
+    # a deviation of 0 has no direction: then U is that of the widest one
     expanded = np.where(en > 0, sizes / np.where(en > 0, en, 1.0), widest)
     rows = zip(names, sizes.tolist(), expanded.tolist(), en.tolist(), k.tolist(), vectors.tolist(), strict=True)
     return tuple(Deviation(name, size, big, row, by, tuple(vector)) for name, size, big, row, by, vector in rows)

@@ -46,11 +46,13 @@ class Likelihood:
         strength = np.concatenate([directions.strength for directions in acting])
         residual = np.concatenate([directions.u.T @ cluster.residual for cluster, directions in pairs])
         # information other than of the directions seen is 1, and adds nothing
+        # R of QR has the same products, with as few rows as there are coordinates
         return cls(np.asarray(np.linalg.qr(seen, mode="r")), strength, residual, square, dof)
 
     def misfit(self, excess: Excess) -> float:
         """Return -2 ln of the restricted likelihood, with the factor that is most likely beside an excess."""
         more = excess.at(self.strength)
+        # `Omega^-1 = I - u diag(taken) u'` (Woodbury), so that only the directions u have to be weighted anew
         taken = more / (1 + more)
         half = self.seen * np.sqrt(taken)
         information = np.eye(len(half)) - half @ half.T
@@ -60,6 +62,7 @@ class Likelihood:
         values = np.maximum(values, _ROUNDING)
         square = self.square - taken @ self.residual**2 - ((vectors.T @ right) ** 2 / values).sum()
         lndet = np.log1p(more).sum() + np.log(values).sum()
+        # dof ln(square) is what is left of the likelihood after its most likely common factor has been put in
         return float(lndet + self.dof * np.log(square))
 
 
@@ -67,6 +70,7 @@ def most_likely(known: Likelihood) -> Excess:
     """Return the most likely excess; both of its parts are 0 or larger."""
     from scipy.optimize import minimize
 
+    # in units of the average strength both parts have logarithms of the same order, which L-BFGS needs
     unit = max(float(known.strength.mean()), np.finfo(float).tiny)
 
     def excess(logs: Array) -> Excess:
@@ -77,6 +81,7 @@ def most_likely(known: Likelihood) -> Excess:
         lambda logs: known.misfit(excess(logs)),
         np.full(2, _START),
         method="L-BFGS-B",
+        # not below 0: errors that are smaller than white noise would make the lens surer than its readings
         bounds=[(0.0, _MOST)] * 2,
         options={"ftol": _TOLERANCE / known.dof},
     )

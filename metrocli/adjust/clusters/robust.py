@@ -105,6 +105,7 @@ def cluster_robust(solution: Solution, clusters: Clusters) -> ClusterRobust:
     """
     must_suffice(len(numbers_of(clusters.of)), clusters.over)
     rows = rows_without_members(solution, clusters.of)
+    # members in one cluster each are eliminated as before: the covariance stays a small table for any number of them
     if rows is not None:
         layout, white = solution.covariance_or_raise().layout, _without_datum(solution)
         sample = ClusterSample.of(white, rows, _first(rows, layout, clusters), solution.dof, clusters.grows)
@@ -151,6 +152,7 @@ def _of_members(solution: Solution, white: Array, sample: ClusterSample) -> Cova
     The members' own noise grows by one factor, also where it enters the datum: `V_r = phi (Q_r - A Q_r A') + V_A`.
     """
     known, own = solution.covariance_or_raise(), sample.of_own
+    # everything else multiplies by `factor`, so it is divided out here
     reduced = known.reduced + (sample.of_shared() / own - white) / known.factor
     members = replace(known.eliminated, reduced=reduced)
     return replace(known, reduced=reduced, eliminated=members, factor=own * known.factor)

@@ -85,6 +85,7 @@ def rows_without_members(solution: Solution, clusters: Mapping[str, Index]) -> C
     """
     known = solution.covariance_or_raise()
     layout, name = known.layout, known.layout.eliminated
+    # a tied member shares a reading with another member, and both may lie in different clusters
     if name is None or len(layout.tied):
         return None
     of_member = _clusters_of_members(solution, clusters, name)
@@ -137,6 +138,7 @@ def _clusters_of_members(solution: Solution, clusters: Mapping[str, Index], name
     ]
     for members, index in used:
         cluster[members] = index
+    # a member of two clusters has kept the number of the last one, which differs for its other readings
     alike = all((cluster[members] == index).all() for members, index in used)
     return cluster if alike and (cluster >= 0)[block.free.any(axis=1)].all() else None
 
@@ -151,6 +153,7 @@ def _without_member(linear: LinearGroup, solution: Solution, rows: Index) -> Clu
         jacobian = touch.jacobian[:, :, rows]
         members = np.broadcast_to(touch.index, (linear.residual.shape[1],))[rows]
         if touch.block == known.layout.eliminated:
+            # the member follows by -W for each unit of the reduced unknowns
             full[:, :, :-1] -= np.einsum("dsn,nsw->dnw", jacobian, weights[members])
             continue
         columns = known.layout.columns[touch.block][members]

@@ -72,6 +72,7 @@ class ClusterSample:
         numbers = np.cumsum(shared) - 1
         seen, own = [], []
         for cluster in rows.of_clusters:
+            # unknowns of this cluster alone are projected out, as a pose is of the rows of its image
             common = shared[cluster.columns]
             at = numbers[cluster.columns[common]]
             basis, triangle = np.linalg.qr(cluster.jacobian[:, ~common])
@@ -90,6 +91,7 @@ class ClusterSample:
         square = float(sum(cluster.residual @ cluster.residual for cluster in (*rows.of_clusters, *rows.others)))
         apart = first[shared].any()
         acting = [ActingDirections.of(cluster, parts[0]) for cluster in seen]
+        # without first unknowns an excess is the same as a factor on all errors
         excess = most_likely(Likelihood.of(seen, acting, square, dof)) if apart else Excess()
         return cls(shared, root, parts, spreads(seen, acting, excess, prior), tuple(own), prior, excess, grows)
 
@@ -147,6 +149,7 @@ class ClusterSample:
     def share(self) -> float:
         """Share of that shape in the covariance (Ledoit and Wolf 2004)."""
         squares, m = np.array([cluster.change @ cluster.change for cluster in self.clusters]), len(self.clusters)
+        # sum over clusters of |z z' - S/m|^2, which is what the mean of so many outer products scatters by
         scatter = float((squares**2).sum() - (self.found**2).sum() / m)
         apart = float(((self.found - self.shape) ** 2).sum())
         return min(scatter / apart, 1.0) if apart > 0 else 1.0
@@ -191,6 +194,7 @@ class ClusterSample:
         lines = lines / np.linalg.norm(lines, axis=0)
         weights = np.array([(lines[part] ** 2).sum(axis=0) for part in self.parts])
         by_part = [self._dof(lines, part, factor) for part, factor in zip(self.parts, self.factors, strict=True)]
+        # what one cluster alone determines shows nothing of its own errors, so it borrows the factor and its certainty
         of_own = min(alone for _, alone in by_part)
         dofs = np.full(len(columns), of_own)
         shared = np.choose(weights.argmax(axis=0), [dofs for dofs, _ in by_part])
@@ -220,8 +224,10 @@ def _root(white: Array, first: Mask) -> tuple[Array, tuple[slice, ...]]:
     rest, roots, parts, place = white / std[:, None] / std, [], [], 0
     for rows in (np.flatnonzero(first), np.flatnonzero(~first)):
         values, vectors = np.linalg.eigh(rest[np.ix_(rows, rows)])
+        # a free network has as many zero eigenvalues as its datum has conditions
         kept = values > _RANK * len(white)
         root = rest[:, rows] @ vectors[:, kept] / np.sqrt(values[kept])
+        # without what the first unknowns explain of the others: further coordinates are independent of them
         rest = rest - root @ root.T
         roots.append(root)
         parts.append(slice(place, place + root.shape[1]))

@@ -58,6 +58,7 @@ class ClusterDirections:
     def of(cls, rows: Array, residual: Array) -> ClusterDirections:
         """Return a cluster from its rows and residuals."""
         u, sizes, vt = thin_svd(rows)
+        # a singular value of 1: all information about that direction is in this cluster, which fits it exactly
         kept = 1 - sizes**2 > _UNDETERMINED
         return cls(vt[kept].T, sizes[kept], u[:, kept].T @ residual, vt[~kept].T)
 
@@ -109,6 +110,7 @@ class ClusterSpread:
         `whole` is the covariance of the coordinates for the expected errors of all readings.
         """
         square = seen.sizes**2
+        # cov(r) = Omega - F F' Omega - Omega F F' + F V F', in the directions u, in which F F' is diag(sizes^2)
         of_residuals = expected - square[:, None] * expected - expected * square + seen.rows @ whole @ seen.rows.T
         return cls(seen, expected, root @ _inverse_root(root @ of_residuals @ root) @ root)
 
@@ -165,6 +167,7 @@ def products(clusters: Sequence[ClusterSpread], whole: Array, lines: Array, part
         inside = v.T @ lines
         x_lines.append(v @ (x @ inside))
         y_lines.append(v @ (by_errors.T @ inside))
+        # only `root' root` enters, so the fewer rows of R do where there are more coordinates than directions
         root = np.linalg.qr(v[part], mode="r") if part.stop - part.start > v.shape[1] else v[part]
         a.append(root @ x @ v.T)
         y.append(root @ by_errors @ v.T)
@@ -179,6 +182,7 @@ def products(clusters: Sequence[ClusterSpread], whole: Array, lines: Array, part
     lengths = np.einsum("cil,ij,cjl->l", g, aa, g, optimize=True) + np.einsum("cil,ij,cjl->l", h, yy, h, optimize=True)
     lengths -= 2 * np.einsum("cil,ij,cjl->l", g, ay, h, optimize=True)
     norms = float((aa * bb).sum() - 2 * (ay * ab.T).sum() + (yy * aa).sum())
+    # the formula is for two clusters; with itself a cluster also has its own covariance, which replaces it here
     for c, cluster in enumerate(clusters):
         itself = cluster.information
         along = itself @ lines

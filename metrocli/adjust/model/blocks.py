@@ -31,6 +31,7 @@ class Space(Enum):
             return poses.moved(values, step)
         if self is Space.WAVE:
             moved = values + step
+            # a phasor plus a step along and across it: regular where the amplitude is 0 and the phase is any
             moved[:, 0] = np.hypot(values[:, 0] + step[:, 0], step[:, 1])
             moved[:, 1] = values[:, 1] + np.arctan2(step[:, 1], values[:, 0] + step[:, 0])
             return moved

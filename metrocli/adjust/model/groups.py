@@ -76,6 +76,7 @@ class Group:
         for name, jacobian in self.chain.derivatives(steps, wanted).items():
             slots = jacobian if jacobian.ndim == 4 else jacobian[None]
             index = np.atleast_2d(local.slots(name))
+            # a reading that uses k members of a block (the two ends of a length) touches it k times
             for slot, members in zip(slots, index, strict=True):
                 whitened = self._weighted(observations.whitened(slot))
                 touches.append(Touch(name, members, np.broadcast_to(whitened, (*slot.shape[:2], observations.count))))
@@ -104,6 +105,7 @@ class Group:
         return self.with_observations(replace(observations, sigma=observations.sigma * factor, covariance=covariance))
 
     def _weighted(self, values: Array) -> Array:
+        # the weight is of 1/sigma^2, so that a residual and its derivatives take its root
         return values if self.weights is None else values * np.sqrt(self.weights)
 
 
@@ -149,6 +151,7 @@ def prior(
     n = len(members)
     observations = Observations(
         readings=np.zeros((len(columns), n)),
+        # not used beside a covariance, but the field needs a value
         sigma=np.ones(1) if sigma is None else np.asarray(sigma, dtype=float).T,
         index={block.name: np.asarray(members, dtype=np.intp)},
         covariance=None if covariance is None else np.asarray(covariance, dtype=float)[:, :, None],
@@ -164,8 +167,10 @@ def priors(block: Block, sigma: Array, free: Mask) -> list[Group]:
 
     sigma (members, size): above zero a prior, nan unknown, 0 exact. free (members, size): what is solved for.
     """
+    # an exact entry is no unknown, and a prior of sigma 0 would divide by it
     known = free & np.isfinite(sigma) & (sigma > 0)
     groups: list[Group] = []
+    # readings of a group have the same components, so entries of which some lack a prior are groups of their own
     for pattern in np.unique(known, axis=0) if known.any() else ():
         columns = np.flatnonzero(pattern)
         members = np.flatnonzero((known == pattern).all(axis=1))
@@ -194,6 +199,7 @@ class ReadEntries(OfBlock):
 
     def step(self, value: Array, local: LinkContext) -> Step:
         """Return the differences (k, 1) and their derivatives by a step of each member, (m, k, size, 1)."""
+        # the joint prior is a single reading, so that its index has one column
         chosen = local.index(self.block)[:, 0]
         values, reference = local.members(self.block)[chosen], self.reference[chosen]
         by_member = np.zeros((len(chosen), len(self.slots), self.reference.shape[1], 1))
@@ -247,6 +253,7 @@ def joint_prior(parts: Sequence[tuple[Block, Index, Index]], covariance: Array) 
     for block, members, columns in parts:
         used, slots = np.unique(members, return_inverse=True)
         links.append(ReadEntries(block.name, block.values, slots, np.asarray(columns, dtype=np.intp), block.space))
+        # (members, 1): one reading that uses all these members at once
         index[block.name] = np.asarray(used, dtype=np.intp)[:, None]
         names += [f"{block.members[i]} {block.columns[k]}".strip() for i, k in zip(members, columns, strict=True)]
     observations = Observations(

@@ -84,6 +84,7 @@ class Observations:
         object.__setattr__(self, "sigma", np.broadcast_to(np.asarray(self.sigma, dtype=float), self.readings.shape))
         inverse = None
         if self.covariance is not None:
+            # once here and not at each step: the covariance of readings stays as it is through an adjustment
             inverse = np.linalg.inv(np.linalg.cholesky(np.moveaxis(self.covariance, -1, 0)))
             inverse = np.ascontiguousarray(np.moveaxis(inverse, 0, -1))
         object.__setattr__(self, "_whitening", inverse)
@@ -115,6 +116,7 @@ class Observations:
 
     def selected(self, keep: Mask | Index) -> Observations:
         """Return the readings chosen by a mask or by indices (n,)."""
+        # large tables are not copied where nothing is left out
         if keep.dtype == bool and keep.all():
             return self
         chosen: Index = np.flatnonzero(keep) if keep.dtype == bool else np.asarray(keep, dtype=np.intp)

@@ -28,6 +28,7 @@ def cholesky(normal: Array) -> Array:
                 rest -= factor[a, c] * factor[b, c]
             if a == b:
                 _must_be_regular(rest, normal[a, a])
+                # the reciprocal: solutions multiply by it and need not divide
                 np.divide(1.0, np.sqrt(rest, out=rest), out=factor[a, a])
             else:
                 np.multiply(rest, factor[b, b], out=factor[a, b])
@@ -72,8 +73,10 @@ def complement(columns: Array) -> tuple[Array, Array]:
         # opposite sign of v[0], so that v[0] - pivot does not cancel
         pivot = -np.copysign(np.sqrt(length, out=length), v[0])
         v[0] -= pivot
+        # 2 / v'v, since `v'v = -2 pivot v[0]` with the new v[0]
         scales.append(-1 / (pivot * v[0]))
         _reflect(work[a:, a + 1 :], v, scales[-1])
+        # R of QR is L' up to signs; the sign of a row of L cancels in all that is built on `L L'`
         np.divide(1.0, pivot, out=factor[a, a])
         factor[a + 1 :, a] = work[a, a + 1 :]
     rest = np.zeros((p, p - s, k))
@@ -91,5 +94,6 @@ def _reflect(columns: Array, v: Array, scale: Array) -> None:
 
 
 def _must_be_regular(pivot: Array, size: Array) -> None:
+    # `not >` and not `<=`, so that nan counts as singular
     if not (pivot > _SINGULAR * size).all():
         raise np.linalg.LinAlgError("a member is not determined by its own readings")

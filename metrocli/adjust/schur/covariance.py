@@ -51,6 +51,7 @@ class Covariance:
             flat = members.weights.reshape(m * s, self.layout.width)
             full = flat @ self.reduced @ flat.T
             view = full.reshape(m, s, m, s)
+            # index arrays with a slice between them come first in the result, (m, s, s): the diagonal blocks
             view[np.arange(m), :, np.arange(m), :] += members.inverse
             if members.gauge is not None:
                 shared = members.gauge.moves.reshape(m * s, -1) @ members.share.reshape(m * s, -1).T
@@ -93,6 +94,7 @@ class Covariance:
         if name == other == self.layout.eliminated:
             same = index == other_index
             if same.all():
+                # the usual case, a reading with the member that it uses: no second table is made
                 return self.factor * _at(self.eliminated.covariance, index)
             apart = np.moveaxis(self.apart(name, index, other_index), 0, -1)
             return np.where(same, self.factor * _at(self.eliminated.covariance, index), apart)
@@ -105,6 +107,7 @@ class Covariance:
             picked = rows[index[:, None, None], np.arange(rows.shape[1])[None, :, None], others[:, None, :]]
             return self.factor * np.moveaxis(picked * within[:, None, :], 0, -1)
         columns, inside = self._places(name, index)
+        # fixed entries have column -1: they are read at 0 and multiplied by False
         picked = self.reduced[columns[:, :, None], others[:, None, :]] * (inside[:, :, None] & within[:, None, :])
         covariance: Array = self.factor * np.moveaxis(picked, 0, -1)
         return covariance

@@ -128,6 +128,7 @@ class IrregularNormals(OutsideTiles):
 def _diagonal(matrix: Array) -> Array:
     """Return the diagonal as a matrix (..., s, s), with 1 for entries that are not positive."""
     diagonal = np.einsum("...ii->...i", matrix)
+    # an unknown that no reading sees has 0 there, and a factor would leave it singular
     return np.where(diagonal > 0, diagonal, 1.0)[..., None] * np.eye(matrix.shape[-1])
 
 
@@ -154,6 +155,7 @@ class NormalSums:
     def normals(self, free: Mask) -> IrregularNormals:
         """Return the normal equations, with 1 on the diagonal of fixed entries."""
         fixed = np.nonzero(~free)
+        # D of a fixed entry has no readings: with 1 its step is 0 and the others are as without it
         self.d[fixed[0], fixed[1], fixed[1]] = 1.0
         return IrregularNormals(np.arange(len(free)), free, self.d, self.b, self.right_e, self.n, self.right_r)
 
@@ -176,6 +178,7 @@ class _SortedDerivatives:
         index_e, size_e, several = None, 0, []
         dense: list[Array] = []
         places: list[Index] = []
+        # a reading that uses two members of the block touches it twice; these stay in the reduced system as tied ones
         alone = sum(touch.block == layout.eliminated for touch in linear.touches) == 1
         for touch in linear.touches:
             if touch.block == layout.eliminated and len(layout.tied):
@@ -210,6 +213,7 @@ def _add(sums: NormalSums, parts: _SortedDerivatives) -> None:
     d, c, n = parts.dense.shape
     if not n:
         return
+    # readings first, so that all of one member are adjacent for the products
     rows = np.ascontiguousarray(parts.dense.reshape(d * c, n).T).reshape(n, d, c)
     if parts.index_e is None:
         flat = rows.reshape(n * d, c)
@@ -238,6 +242,7 @@ def grams(rows: Array, index: Index, members: int) -> Array:
     ordered = rows if (np.diff(index) >= 0).all() else rows[order]
     starts = np.concatenate([[0], np.cumsum(counts)])
     sums = np.zeros((members, c, c))
+    # powers of two: few batches of equal length, and at most half of a batch is padding
     lengths = np.where(counts > 0, 2 ** np.ceil(np.log2(np.maximum(counts, 1))).astype(int), 0)
     for length in np.unique(lengths[lengths > 0]):
         chosen = np.flatnonzero(lengths == length)
@@ -247,6 +252,7 @@ def grams(rows: Array, index: Index, members: int) -> Array:
         else:
             place = starts[chosen, None] + np.arange(longest)
             inside = np.arange(longest) < counts[chosen, None]
+            # a place beyond the end is clipped to a real row, which the mask makes zero
             padded = (ordered[np.minimum(place, n - 1)] * inside[:, :, None, None]).reshape(len(chosen), longest * d, c)
         sums[chosen] = np.swapaxes(padded, 1, 2) @ padded
     return sums
@@ -271,6 +277,7 @@ def _add_several(sums: NormalSums, parts: _SortedDerivatives, rows: Array) -> No
     if parts.index_e is not None:
         product = np.einsum("nda,ndb->nab", rows[:, :, :s], value)
         first, some = parts.members()
+        # index of (member, own unknown, column) in the flat b of these members; fixed entries add 0 at column 0
         place = ((parts.index_e - first)[:, None, None] * s + np.arange(s)[:, None]) * width + column[:, :1, :]
         among = sums.b[some]
         among += np.bincount(place.ravel(), product.ravel(), minlength=among.size).reshape(among.shape)

@@ -55,6 +55,7 @@ def arrange(blocks: Mapping[str, Block], groups: Sequence[Group]) -> Layout:
         return without_elimination(blocks)
     kept = {name: block for name, block in blocks.items() if block is not eliminated}
     if len(tied):
+        # the tied members stay with their columns in the reduced system, under the name of the same block
         kept[eliminated.name] = replace(eliminated, free=eliminated.free & ~alone)
     return replace(without_elimination(kept), eliminated=eliminated.name, tied=tied)
 

@@ -109,6 +109,7 @@ class MemberCovariance:
         J are the derivatives of the whitened reading by all unknowns. The group at `place` must be in tiles.
         """
         full = np.empty((self.shape[1], *shape))
+        # not strict: behind the tiles the parts hold the readings in no order, and tied members, which have no tile
         for part, tile in zip(self.parts, self.tiles, strict=False):
             chosen = [j for j, piece in enumerate(tile.pieces) if piece.place == place]
             variances = part.with_readings(self.reduced, chosen)

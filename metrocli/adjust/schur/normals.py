@@ -146,6 +146,7 @@ def assemble(tiling: Tiling, blocks: Mapping[str, Block], layout: Layout) -> Nor
         linears = [piece.group.linear(blocks, layout.wanted) for piece in tile.pieces]
         cost += sum(linear.cost for linear in linears)
         if not np.isfinite(cost):
+            # the step is rejected by its cost, so that nobody needs these sums
             break
         rows = [TileRows.of(linear, tile.members, blocks, layout) for linear in linears]
         part = EliminatedTile(tile.members, blocks[name or ""].free[tile.members], rows, layout.width)
@@ -153,6 +154,7 @@ def assemble(tiling: Tiling, blocks: Mapping[str, Block], layout: Layout) -> Nor
             _ = part.reduced
         parts.append(part)
     free = layout.alone(blocks[name]) if name else np.zeros((0, 0), dtype=bool)
+    # where tiles hold the members, the other readings have none of them and give to the reduced system only
     parts.append(sums.normals(free[:0] if tiling.tiles else free))
     if name and len(layout.tied):
         parts.append(TiedMembers(layout.tied, layout.columns[name][layout.tied], layout.width))

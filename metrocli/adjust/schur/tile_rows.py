@@ -103,6 +103,7 @@ def add_products(part: TileRows, matrix: Array, right: Array) -> None:
     """Add `K'K` and `K' residual` of one group."""
     for i, block in enumerate(part.beside):
         first, residual = (by_slot(x, len(block.places)) for x in (block.jacobian, part.residual[:, None]))
+        # slots can use the same member, and places of fixed unknowns (-1) all meet in the extra column
         np.add.at(right, block.places, (first @ residual.swapaxes(1, 2))[:, :, 0])
         for other in part.beside[: i + 1]:
             slots = max(len(block.places), len(other.places))

@@ -88,8 +88,10 @@ class EliminatedTile:
         rows = np.empty((sum(len(place) for place in places), w, self.free.shape[1]))
         at = 0
         for weight, beside in pairs:
+            # a view into `rows`: the products are written where they are needed
             out = rows[at : at + beside.places.size].reshape(*beside.places.shape, *rows.shape[1:])
             at += beside.places.size
+            # all slots use the one member: its sum over the slots is one row, not one row for each
             if len(out) == 1 < beside.jacobian.shape[2]:
                 np.einsum("admk,dcmk->cak", weight, beside.jacobian, out=out[0])
                 continue
@@ -133,12 +135,14 @@ class EliminatedTile:
         """Whether the combinations that do not depend on the member are at most as many as its unknowns."""
         # X'X is the complement for `D = J'J` only: damping changes D, and fixed entries have zero columns in J
         s, scalars = len(self.free), sum(part.own.shape[0] * part.own.shape[2] for part in self.rows)
+        # above 2 s there are more such combinations than unknowns, and `K'K - Y'Y` takes fewer products
         return s <= scalars <= 2 * s and bool(self.free.all()) and not self.damping
 
     def _spare(self) -> list[Array]:
         """Return Z, the combinations of readings that do not depend on the member, for each group, (q, d, m, k)."""
         s, k = self.free.shape
         columns = [part.own.swapaxes(1, 2).reshape(-1, s, k) for part in self.rows]
+        # Householder gives L as well, without squaring J: it fills the cached property `factor`
         self.factor, spare = complement(columns[0] if len(columns) == 1 else np.concatenate(columns))
         parts, at = [], 0
         for part, column in zip(self.rows, columns, strict=True):

@@ -103,9 +103,11 @@ class BorderedFactor:
         columns = rows.indices.astype(np.int64)
         for a in range(int(counts.max(initial=0))):
             for b in range(a + 1):
+                # rows that have a non-zero number a; those before it exist as well
                 has = np.flatnonzero(counts > a)
                 first, second = rows.indptr[has] + a, rows.indptr[has] + b
                 at = np.searchsorted(keys, columns[first] * size + columns[second])
+                # a pair that is missing at the end would be past the keys; rows of coupled unknowns have none
                 product = rows.data[first] * rows.data[second] * self.inverse.data[np.minimum(at, len(keys) - 1)]
                 total[has] += product if a == b else 2 * product
         return total
@@ -157,13 +159,16 @@ def _factored(matrix: Sparse, places: Array, largest: float) -> tuple[SparseChol
     fronts = dissect(matrix, places)
     try:
         factored = factor(matrix, fronts)
+        # pivots are squares of the factor's diagonal; a tiny one passes the factorisation and ruins the inverse
         if factored.weakest**2 > _SINGULAR * largest:
             return factored, np.zeros((matrix.shape[0], 0))
     except np.linalg.LinAlgError:
         pass
+    # just stiff enough for a factor: each solution multiplies open directions by the inverse of it, others by less
     everywhere = np.full(matrix.shape[0], _STIFFNESS * largest)
     opened = _open(matrix, factor(_with_diagonal(matrix, everywhere), fronts), largest)
     held = _holding(opened, matrix.shape[0])
+    # one unit of stiffness for each open direction holds it and adds nothing to what is determined
     return factor(_with_diagonal(matrix, held * largest), fronts), _side_by_side(opened, matrix.shape[0])
 
 
@@ -193,14 +198,17 @@ def _open(matrix: Sparse, net: SparseCholesky, largest: float) -> _Opened:
     If the net falls into pieces, they are found piece by piece; the same columns serve all pieces at once.
     """
     pieces = connected(matrix)
+    # a fixed seed: the same job has the same datum and the same last digits in each run
     rng, count = np.random.default_rng(0), 32
     while True:
         vectors = rng.normal(size=(matrix.shape[0], count))
+        # a direction with an eigenvalue of ten times the stiffness loses 1e4 against open ones in four rounds
         for _ in range(4):
             vectors = _orthonormal(net.solve(vectors), pieces)
         directions = list(_lowest(matrix, vectors, pieces, largest))
         if sum(each.shape[1] for each in directions) > _MOST:
             raise OpenDesignError(f"more than {_MOST} directions are open")
+        # as many open directions as vectors means that there may be more: then with three times as many
         if all(each.shape[1] < count or len(each) <= count for each in directions):
             return [(piece, own) for piece, own in zip(pieces, directions, strict=True) if own.shape[1]]
         count *= 3
@@ -210,6 +218,7 @@ def _orthonormal(vectors: Array, pieces: list[Index]) -> Array:
     """Return vectors made orthonormal over each piece: as many as it has unknowns, the others zero."""
     whole = np.zeros_like(vectors)
     for piece in pieces:
+        # a piece of k unknowns has k directions at most, and more columns would be dependent
         own = np.linalg.qr(vectors[piece, : len(piece)])[0]
         whole[piece, : own.shape[1]] = own
     return whole
@@ -236,6 +245,7 @@ def _side_by_side(opened: _Opened, count: int) -> Array:
 
 def _border(matrix: Array, alone: Array) -> tuple[Array, Array]:
     """Return the inverse of the border's matrix without its undetermined directions, and these directions."""
+    # by what each unknown has before the net is eliminated: afterwards its diagonal may be rounding alone
     scale = 1 / np.sqrt(np.where(alone > 0, alone, 1.0))
     values, vectors = np.linalg.eigh(matrix * scale[:, None] * scale)
     opened = values < _SINGULAR

@@ -63,11 +63,13 @@ class SparseCholesky:
         """Return the entries of `A^-1` at the entries of the symmetric `pattern`, which must be among those of A."""
         half = _half(pattern, self.fronts)
         values, place = np.empty(len(half.others)), np.empty(pattern.shape[0], dtype=np.intp)
+        # fronts that are nobody's child are the roots, one for each piece of the net
         children = {child for front in self.fronts for child in front.children}
         waiting = [(i, np.zeros((0, 0), order="F")) for i in range(len(self.fronts)) if i not in children]
         while waiting:
             i, rest = waiting.pop()
             front = self.fronts[i]
+            # not cleared between fronts: only entries of this front's unknowns are read
             place[front.unknowns] = np.arange(len(front.unknowns))
             known = _inverse(self.columns[i], rest)
             for at, part, rows, columns in _entries(half, front, place, known):
@@ -130,6 +132,7 @@ class _Square:
 
     def add(self, update: Array, runs: _Runs) -> None:
         """Add the update matrix of a child."""
+        # runs are in rising order, so that `other` at or before `there` is the lower triangle
         for k, (there, here) in enumerate(runs):
             for other, own in runs[: k + 1]:
                 part = self.piece(there, other)
@@ -187,6 +190,7 @@ class _Half:
 def _half(matrix: Sparse, fronts: Sequence[Front]) -> _Half:
     turn = np.empty(matrix.shape[0], dtype=np.intp)
     turn[np.concatenate([front.pivots for front in fronts])] = np.arange(len(turn))
+    # each pair is kept at the unknown that goes first, since it enters the front of that one
     later = turn[matrix.indices] >= np.repeat(turn, np.diff(matrix.indptr))
     starts = np.concatenate([[0], np.cumsum(later)])[matrix.indptr]
     return _Half(starts, matrix.indices[later], np.flatnonzero(later))
@@ -211,6 +215,7 @@ def _ranges(starts: Index, ends: Index) -> Index:
 
 def _runs(places: Index, p: int) -> _Runs:
     """Return the consecutive pieces of a child's border in the front of its parent, which has p pivots."""
+    # also where the pivots of the parent end: a slice must lie in one of the three parts of its matrix
     breaks = np.flatnonzero((np.diff(places) != 1) | (places[1:] == p)) + 1
     starts, ends = np.concatenate([[0], breaks]).tolist(), np.concatenate([breaks, [len(places)]]).tolist()
     return [(slice(int(places[a]), int(places[a]) + b - a), slice(a, b)) for a, b in zip(starts, ends, strict=True)]

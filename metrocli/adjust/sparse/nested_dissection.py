@@ -161,6 +161,7 @@ def _graph(matrix: Sparse, places: Array) -> _Graph:
 
     pattern = csr_array((np.ones(matrix.nnz, dtype=np.int8), matrix.indices, matrix.indptr), shape=matrix.shape)
     coupled = (pattern + eye_array(len(places), dtype=np.int8, format="csr")).tocsr()
+    # one of each pair of opposite normals: they cut the same planes
     directions = [d for d in product((-1, 0, 1), repeat=places.shape[1]) if next((x for x in d if x), 0) > 0]
     return _Graph(coupled, np.rint(places).astype(np.intp), np.array(directions))
 
@@ -199,6 +200,7 @@ def _best_cut(graph: _Graph, part: _Part) -> _Cut | None:
     """Return the best cut that leaves something on both sides, or None."""
     if part.is_leaf:
         return None
+    # even cuts first: a cheap cut with almost everything on one side makes the recursion as deep as the part is long
     planes = sorted(_planes(graph, part), key=lambda plane: (plane.uneven, plane.cost))
     return next((cut for cut in (_cut(part, plane.left) for plane in planes) if cut.left.size and cut.right.size), None)
 
@@ -259,6 +261,7 @@ def _cover(rows: Index, columns: Index) -> Index:
     back = np.full(len(right), -1)
     back[partner[partner >= 0]] = np.flatnonzero(partner >= 0)
     reached, through = partner < 0, np.zeros(len(right), dtype=bool)
+    # alternating paths: from a row along any link to a column, from a column back along its matched link only
     new = np.flatnonzero(reached)
     while new.size:
         met = np.unique(links[new].indices)
@@ -282,6 +285,7 @@ def _turns(fronts: Sequence[Front], count: int) -> Index:
         borders = [fronts[child].border for child in fronts[i].children]
         if not borders:
             continue
+        # digits of a number in which each level of descendants has the next one: equal codes have the same descendants
         side = np.repeat(np.linspace(0.0, 1.0, len(borders)), [len(border) for border in borders])
         touched, which, times = np.unique(np.concatenate(borders), return_inverse=True, return_counts=True)
         code[touched] += scale[touched] * np.bincount(which, side) / times

@@ -40,6 +40,7 @@ class Partition:
 
 def partition(blocks: Mapping[str, Block], groups: Sequence[Group], net: str, local: str) -> Partition:
     """Number the free unknowns; members of the local block that one reading uses together go to the border."""
+    # D would not be diagonal otherwise: a reading couples the two members
     joined = _joined(blocks[local], groups)
     alone = blocks[local].free & ~joined[:, None]
     columns = {name: np.full(block.values.shape, -1, dtype=np.intp) for name, block in blocks.items()}
@@ -71,6 +72,7 @@ def gradient(linears: Sequence[LinearGroup], parts: Partition) -> Array:
             towards = np.einsum("dsn,dn->ns", touch.jacobian, linear.residual)
             columns = parts.columns[touch.block][touch.index]
             inside = columns >= 0
+            # bincount adds up repeated places, which `total[columns] += ...` would write once only
             total += np.bincount(columns[inside], towards[inside], minlength=parts.width)
     return total
 
@@ -87,10 +89,12 @@ def jacobian(linears: Sequence[LinearGroup], parts: Partition) -> Sparse:
         columns: list[Index] = []
         for touch in linear.touches:
             at = parts.columns[touch.block][touch.index]
+            # zeros in the derivatives would enter the pattern of the matrix, and each entry there costs in the factor
             a, s, i = np.nonzero(touch.jacobian)
             keep = at[i, s] >= 0
             a, s, i = a[keep], s[keep], i[keep]
             values.append(touch.jacobian[a, s, i])
+            # all first components, then all second ones, as `ravel` of (d, n) and the redundancies have them
             rows.append(a * n + i)
             columns.append(at[i, s])
         entries = (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns)))

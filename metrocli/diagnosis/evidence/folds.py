@@ -50,6 +50,7 @@ class _Nested:
         m = state.measurement
         fold = Fold(m, np.flatnonzero(self.rows == number))
         model = Model(state.fixed, state.random, state.logs)
+        # a candidate that the held-out readings have helped to choose would be judged by the readings that chose it
         chosen = {name.key: self._chosen(fold, model, name) for name in self.names}
         readings = state.readings
 
@@ -61,8 +62,10 @@ class _Nested:
         pairs = []
         for name in self.names:
             others = [other for other in self.names if other is not name]
+            # an effect that this fold does not choose changes no prediction, so that its gain there is exactly 0
             before = every if chosen[name.key] is None else with_names(others)
             pairs.append((before, every))
+        # the last pair compares none with all: gains of single effects beside the others do not add up to it
         return pairs if len(self.names) < 2 else [*pairs, (with_names(()), every)]
 
     def _chosen(self, fold: Fold, model: Model, name: IdentifiedEffect) -> Fixed | None:
@@ -78,6 +81,7 @@ class _Nested:
             net = train.nets(number) - (OF_ALL if family.unknown else 0.0)
             if len(net) and net.max() > best:
                 best, at = float(net.max()), (number, int(np.argmax(net)))
+        # a first effect has to pay for itself only; a further one has the higher price that the search asks of it
         if best <= (FURTHER if others.fixed else 0.0) or m.alternative(at).spot not in spots:
             return None
         return next((part for part in model.fixed if part.key == at), None) or m.effect(*at)
@@ -85,6 +89,7 @@ class _Nested:
 
 def gain_of_parts(state: State, parts: Sequence[Fixed | Random]) -> Gain:
     """Return the gain of some parts of a state, at the sizes with and without them, computed once."""
+    # parts are compared by identity: the state holds them, so that their numbers stay theirs as long as the cache lives
     key = ("gain", *map(id, parts))
     if key not in state.held:
         state.held[key] = gain_between(state.minus(parts), state)

@@ -87,6 +87,7 @@ def _basis(job: AdjustedJob, system: Linearised, covariate: Covariate, by: str) 
     # of many readings these are large
     del smooth, functions, values, knots
     ends = np.arange(0, terms.size + 1, each, dtype=np.int32)
+    # built from its arrays: each row has the same number of entries, so that nothing has to be sorted or counted
     columns = csr_matrix((terms.ravel(), numbers.ravel(), ends), shape=(system.rows, copies * count))
     gram = _gram(terms, numbers, copies * count) - system.basis.gram_of(columns)
     sigmas = {unit: _typical(job, unit) for unit in of_copies}
@@ -95,6 +96,7 @@ def _basis(job: AdjustedJob, system: Linearised, covariate: Covariate, by: str) 
 
 def _gram(terms: Array, numbers: Numbers, count: int) -> Array:
     """Return the products of columns that have the values `terms` (rows, m) at their numbers (rows, m)."""
+    # products with i < j are found once and mirrored; those with i = j must not be, or they would count twice
     diagonal, upper = np.zeros((2, count * count))
     for i, j in combinations_with_replacement(range(terms.shape[1]), 2):
         found = np.bincount(numbers[:, i] * count + numbers[:, j], terms[:, i] * terms[:, j], count * count)

@@ -67,7 +67,9 @@ class Held:
 def gain_of(pairs: Sequence[tuple[Held, Held]]) -> Gain:
     """Return the gain from the predictions of all folds without and with what is judged."""
     differences = np.array([after.score - before.score for before, after in pairs])
+    # a single fold shows no scatter: its gain is never called certain
     spread = float(differences.std(ddof=1)) if len(differences) > 1 else float("inf")
+    # of both sides, so that the two errors are those of the same readings
     kept = [np.maximum(before.variances, after.variances) <= _PREDICTED for before, after in pairs]
     found = []
     for side in zip(*pairs, strict=True):
@@ -77,12 +79,14 @@ def gain_of(pairs: Sequence[tuple[Held, Held]]) -> Gain:
         )
         alike = np.isfinite(scale)
         reported = (errors * scale)[alike]
+        # divided by independent errors and not by rows: what local unknowns take of a held-out image shows no error
         rms = float(np.sqrt((reported**2).sum() / max(float(shares[alike].sum()), 1e-9)))
         median = float(np.median(np.abs(reported))) if reported.size else 0.0
         # errors of different units are compared in their standard deviations
         found.append((rms, median, rms if alike.all() else float(np.sqrt((errors**2).sum()))))
     (rms, median, size), (rms_after, median_after, size_after) = found
     ratio = size_after / size if size > 0 else 1.0
+    # the spread of a sum of as many folds, each with that of one
     std = spread * float(np.sqrt(len(differences)))
     score = float(differences.sum())
     return Gain(rms, rms_after, median, median_after, ratio, score, std, tuple(differences.tolist()))

@@ -60,12 +60,15 @@ def folds_of(m: Measurement) -> Index:
     """Return the number of the fold of each row, (rows,): -1 for priors but those of a random effect of a member."""
     rows = np.full(m.system.rows, -1, dtype=np.intp)
     for group in m.job.model.readings:
+        # counted from 1, so that 0 stays for the rows of priors
         fold = m.system.spread(group, m.job.folds[group.name].astype(float) + 1)
         rows = np.where(fold > 0, fold.astype(np.intp) - 1, rows)
     member = m.system.basis.member
     own = np.full(m.system.basis.members + 1, -1, dtype=np.intp)  # the last is that of rows without a member
     read = (rows >= 0) & (member >= 0)
     own[member[read]] = rows[read]
+    # a member whose readings lie in several folds belongs to none of them, since
+    # its last fold has overwritten the others
     own[member[read][own[member[read]] != rows[read]]] = -1
     random = {f"prior of {added.block}" for added in m.job.model.added if added.std}
     for group in (group for group in m.job.model.groups if group.name in random):
@@ -92,6 +95,7 @@ class Fold:
         """An unknown of each held-out row, where they are not all rows of their members; it takes the row out."""
         if self.whole:
             return ()
+        # a column that is 1 in one row fits that row exactly, which is the same as leaving the row out
         unit = np.zeros((self.measurement.system.rows, len(self.rows)))
         unit[self.rows, np.arange(len(self.rows))] = 1.0
         return (Fixed(0, 0, unit, np.eye(0), 0.0, HELD_OUT),)
@@ -149,6 +153,7 @@ class Fold:
         r = m.system.residual[self.rows]
         kept = np.ones(len(every.own), dtype=bool)
         if len(kept):
+            # held-out members take the products of their own random columns with them
             kept[np.unique(m.system.basis.member[self.rows])] = False
         return replace(
             every,
@@ -171,10 +176,12 @@ class Fold:
         fit = fit_at(self.products(model), model.logs)
         ranks = sum(part.rank for part in model.fixed)
         fewer = sum(part.rank for part in self.others(model.fixed))
+        # ln p(held | others) = ln p(all) - ln p(others), at the same sizes of the random parts
         score = _log_marginal(everything, ranks) - _log_marginal(fit, fewer)
         spared = np.zeros(m.system.rows, dtype=bool)
         for one in model.fixed:
             if one.is_reading:
+                # a reading that is named wrong would be predicted badly by any model
                 spared[m.places[one.number][m.places[one.number] >= 0]] = True
         kept, basis = ~spared[self.rows], m.system.basis
         if self.whole:
@@ -183,6 +190,7 @@ class Fold:
             shares, variances = 1 - (basis.local[self.rows] ** 2).sum(axis=1), np.ones(len(self.rows))
         else:
             count = len(self.rows)
+            # the last unknowns are those of the held-out rows: each is what its reading is off its prediction
             errors, shares = fit.sizes[-count:], np.ones(count)
             variances = (np.linalg.inv(fit.lower[-count:, -count:]) ** 2).sum(axis=0)
         scale = np.where(m.system.alike, m.system.scale, np.nan)[self.rows]
@@ -191,6 +199,7 @@ class Fold:
 
 def _log_marginal(fit: Fit, ranks: float) -> float:
     """Return ln of the density of the readings of a fit, unknowns and fixed columns integrated with a flat prior."""
+    # flat priors of the columns take one degree of freedom each out of the density
     dof = fit.dof - ranks
     at = fit.fixed
     log_det = fit.log_det + 2 * float(np.log(np.diag(fit.lower)[at:]).sum())

@@ -90,6 +90,7 @@ def identified(state: State, part: Fixed, with_rivals: bool = True) -> Identifie
     covariance = np.zeros(gram.shape)
     covariance[np.ix_(seen, seen)] = inverse / scale / scale[:, None]
     values = covariance @ right
+    # rounding can make what an effect explains larger than all there is
     share = np.array(min(float(values @ right) / less.fit.squares, 1.0))
     rank = int(seen.sum())
     single = float(log_tail(share, rank, max(less.freedoms - rank, 1.0)))
@@ -132,6 +133,8 @@ def determined(gram: Array, raw: Array) -> tuple[Mask, Mask]:
         values, vectors = np.linalg.eigh(scaled[np.ix_(seen, seen)])
         if values[0] > max(VISIBLE**2, FLAT * values[-1]):
             break
+        # the parameter that moves most along the unseen direction is the one that
+        # the readings show least beside the others
         seen[np.flatnonzero(seen)[int(np.argmax(np.abs(vectors[:, 0])))]] = False
     return seen, np.asarray(apart)
 
@@ -158,6 +161,7 @@ def _rivals(less: State, part: Fixed, values: Array, variance: float) -> tuple[R
     whole = m.families[part.family].columns.whole([part.number], m.system.rows)[:, 0] @ values
     visible = less.seen(whole)
     shown = max(float(whole @ visible), 1e-300)
+    # an effect that the state has already is beside the identified one, and not in its place
     taken = {m.alternative(other.key).spot for other in less.named}
     best: dict[object, Rival] = {}
     for number, family in enumerate(m.families):
@@ -172,8 +176,10 @@ def _rivals(less: State, part: Fixed, values: Array, variance: float) -> tuple[R
         for at in np.flatnonzero((gain > _SHOWS) & explains_as_well(odds, cosine2, t / variance)).tolist():
             other = family.alternatives[at]
             if other.form == own.form or (other.spot != own.spot and other.spot in taken):
+                # another value of the same form is an alias and no rival; it is found where the scan is refined
                 continue
             key = other.form if other.spot == own.spot else other.spot
+            # clipped, since exp of a large network's evidence overflows
             found = Rival(other, float(np.sqrt(cosine2[at])), float(np.exp(np.clip(odds[at], -700, 700))))
             if key not in best or best[key].odds < found.odds:
                 best[key] = found

@@ -130,11 +130,14 @@ class Fit:
 
         def add(j: int, sizes: Array, unsettled: Array) -> None:
             trace, count = float(np.einsum("mkk->", unsettled)), unsettled.shape[0] * unsettled.shape[1]
+            # coefficients are in units of their own standard deviation, so that their
+            # squares add up to their effective number
             found[j] += float((sizes**2).sum())
             expected[j] += count - trace
             bend[j] += count - 2 * trace + float(np.vdot(unsettled, unsettled))
 
         if (products.of_shared >= 0).any():
+            # dpotri gives one triangle of the inverse, and leaves in the other what was there
             upper = dpotri(self.lower.T)[0]
             inverse = np.triu(upper) + np.triu(upper, 1).T
             for j in range(len(variance)):
@@ -159,6 +162,7 @@ def fit_at(products: Products, logs: Array) -> Fit:
     half, shown = np.zeros((len(products.own), 0, 0)), np.zeros((len(products.own), 0, p + 1))
     if products.of_local.size and len(products.own):
         scale = root[products.of_local]
+        # `I + D C'C D` and not `D^-2 + C'C`: it stays regular where a variance is nothing
         own = products.own * (scale[:, None] * scale) + np.eye(len(scale))
         lower = np.linalg.cholesky(own)
         log_det += 2 * float(np.log(np.einsum("mkk->mk", lower)).sum())
@@ -174,10 +178,12 @@ def fit_at(products: Products, logs: Array) -> Fit:
     if random.any():
         gram = gram.copy()
         at = np.flatnonzero(random)
+        # the prior of a coefficient: one reading of 0 with the variance of its component
         gram[at, at] += np.exp(-np.asarray(logs)[kinds[at]])
         log_det += float(np.asarray(logs)[kinds[at]].sum())
     lower = _cholesky(gram)
     fixed = products.unknowns + int(random.sum())
+    # fixed columns are not in this determinant: `likelihood` and the evidence treat them differently
     log_det += 2 * float(np.log(np.diag(lower)[:fixed]).sum())
     sought = _solved(lower, right)
     return Fit(
@@ -201,6 +207,7 @@ def likeliest(products: Products, logs: Array, most: Array, steps: int = _STEPS)
     fit = fit_at(products, np.minimum(logs, most))
     for _ in range(steps if len(logs) else 0):
         found, expected, bend = fit.slopes
+        # a step of at most e^2 in a variance: from nothing the bend is near 0, and Newton's step would leave the range
         step = np.clip((found - expected) / np.maximum(bend, 1e-9), -_FAR, _FAR)
         # where almost nothing is expected, the ratio of found to expected is the better guide
         ratio = np.log(np.maximum(found, 1e-12) / np.maximum(expected, 1e-12))
@@ -215,6 +222,7 @@ def likeliest(products: Products, logs: Array, most: Array, steps: int = _STEPS)
                 break
             step = step / 3
         else:
+            # the last of six tries has 1/243 of the step: what is lower even there is rounding
             return fit
         gained, fit = after.likelihood - fit.likelihood, after
         if gained < _STILL:
@@ -228,6 +236,7 @@ def _cholesky(gram: Array) -> Array:
         return gram
     scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
     unit = gram / scale / scale[:, None]
+    # columns of two parts can be nearly the same: the least bump with which the factor exists changes the others least
     bump = 1e-13
     while True:
         try:

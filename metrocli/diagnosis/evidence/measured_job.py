@@ -78,6 +78,7 @@ def _places(system: Linearised, job: AdjustedJob) -> Index:
     for group in groups:
         d, n = group.observations.readings.shape
         rows = system.first[group.name] + d * np.arange(n)[:, None] + np.arange(d)
+        # padded with -1, so that readings of one and of three components stand in one table
         parts.append(np.pad(rows, ((0, 0), (0, most - d)), constant_values=-1))
     found = np.concatenate(parts)
     return found[found >= 0][:, None] if job.single_components else found
@@ -102,6 +103,7 @@ def _scatters(
     found = []
     for own in by_name.values():
         columns = sum(one.columns.count * one.columns.parameters for one in own)
+        # coefficients of a smooth effect are its freedoms, where another effect has one place for each alternative
         places = columns if own[0].alternatives[0].effect.is_smooth else sum(one.columns.count for one in own)
         if places >= _PLACES and system.rows * columns**2 <= _MOST:
             found.append(tuple(own))
@@ -116,6 +118,7 @@ def _with_standing(job: AdjustedJob, system: Linearised) -> Linearised:
     residual = system.residual
     for one in job.standing:
         residual = residual + signature(job.model, system, one.effect, one.instance, {}) @ np.array(one.sizes)
+    # projected again: the unknowns absorb a part of what these effects give
     return replace(system, residual=system.seen(residual)) if job.standing else system
 
 
@@ -155,6 +158,7 @@ def _waves(job: AdjustedJob, system: Linearised, covariate: Covariate) -> Iterat
     if len(steps) < _STEPS:
         return
     low, span = float(steps[0]), float(np.ptp(steps))
+    # half periods: a wave between two whole ones has a cosine of 0.6 with either, and would be missed
     turns = np.arange(1.0, (len(steps) - 1) / 2 + 0.1, 0.5)
     for turn in turns[:_MOST_WAVES]:
         parts = []
@@ -166,6 +170,8 @@ def _waves(job: AdjustedJob, system: Linearised, covariate: Covariate) -> Iterat
                 own = np.zeros((system.rows, 2 * d))
                 for component in range(d):
                     at = np.arange(rows.start, rows.stop)[component::d]
+                    # in declared standard deviations, so that one size serves all groups:
+                    # whitened rows have the scale of the reading
                     factor = group.observations.deviations.T.ravel()[component::d] / system.scale[at]
                     own[at, 2 * component] = np.cos(phase[component::d]) * factor
                     own[at, 2 * component + 1] = np.sin(phase[component::d]) * factor

@@ -77,6 +77,7 @@ class Measurement:
     def squares(self) -> float:
         """Squares of the residual, with those that the declared noise counts for."""
         r = float(self.system.residual @ self.system.residual)
+        # at most 1: a larger noise is held against the declared one, and a smaller one is taken as it is
         return r + PRIOR * min(1.0, r / max(self.system.dof, 1))
 
     @cached_property
@@ -179,6 +180,7 @@ class Measurement:
         held, key = self.held_of_families, ("grams", family)
         if key not in held:
             rows = self.system.rows
+            # a basis without columns: whole products are those beside nothing
             nothing = Basis(np.zeros((rows, 0)), np.full(rows, -1), 0, np.zeros((rows, 0)))
             held[key] = columns.grams(nothing)
         return held[key]
@@ -235,6 +237,7 @@ class Measurement:
             every = every @ vectors[:, values > _SMOOTH * values[-1]]
         norms = np.linalg.norm(every, axis=0)
         typical = float(np.median(norms[norms > 0])) if norms.any() else 1.0
+        # divided by the typical length, so that ln of its variance starts near 0; `unit` brings the size back
         return Random(SCATTER, (number, 0, -1), every / typical, False, self.price_of_scatter, 30.0, 1 / typical)
 
     def keys_of(self, reading: int) -> dict[str, str]:

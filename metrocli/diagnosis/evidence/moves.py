@@ -105,13 +105,10 @@ def _settled(state: State, noise: Mapping[int, float], watched: Sequence[int]) -
 
     Groups that have a noise of their own already are estimated with them: it was that beside quieter ones.
     """
-    best = state.score if state.measurement.noise else -np.inf
-    held, before, tried = (
-        dict[int, float](),
-        dict[int, float](),
-        {**dict.fromkeys(state.measurement.noise, 1.0), **noise},
-    )
-    logs = state.logs
+    # with no noise before, the first estimate is taken in any case; with some, the new one must not be worse
+    best, logs = state.score if state.measurement.noise else -np.inf, state.logs
+    held, before = dict[int, float](), dict[int, float]()
+    tried = {**dict.fromkeys(state.measurement.noise, 1.0), **noise}
     for _ in range(_ESTIMATES):
         trial = tried_noise(state, tried, [number for number in watched if number not in tried], logs)
         if trial.score < best:
@@ -138,6 +135,7 @@ def moves(state: State, quiet: set[int] | None = None) -> list[Move]:
         random += correlated_errors(state, quiet)
     found += [Move(entering.net, found=entering) for entering in random]
     found += _noise(state, alone=all(move.net <= 0 for move in found))
+    # a little below 0 too: quick gains are at the present sizes, and may rise when these are estimated
     return sorted((move for move in found if move.net > -1), key=lambda move: -move.net)
 
 
@@ -157,6 +155,7 @@ def _noise(state: State, alone: bool) -> list[Move]:
         and (
             group[2] > AS_OTHERS
             or group[1] in known
+            # a whole kind that is quieter is a wrong statement of the job, which can be corrected
             or (group[2] < 1 / AS_OTHERS and kinds[group[1]] in (READING, DECLARED_SIGMA))
         )
     ]
@@ -201,6 +200,7 @@ def _is_of_one_reading(state: State, family: int, number: int, explained: float)
     if not len(rows):
         return False
     gram, right = (one[number] for one in state.left(family))
+    # pinv: a parameter that is not seen has no size
     whole = m.whole(family, number) @ (np.linalg.pinv(gram, hermitian=True) @ right)
     there = rows >= 0
     blocks = np.eye(rows.shape[1]) * there[:, :, None] - state.products(rows)
@@ -216,6 +216,7 @@ def readings(state: State) -> list[Move]:
     taken = {part.number for part in state.readings}
     order = [i for i in np.argsort(-net)[:_AT_ONCE].tolist() if net[i] > 0 and i not in taken]
     chosen: list[Fixed] = []
+    # four times in squares: half the test of the worst, below which a reading may be its shadow
     for i in (i for i in order if t[i] > t[order[0]] / 4):
         error = m.reading(i)
         if all(np.abs(m.correlation(other, error)).max(initial=0.0) < _APART for other in chosen):
@@ -243,6 +244,7 @@ def _masked_readings(state: State) -> list[Move]:
     if state.variance < _MASKED or state.random:
         return []
     best, at = state, state
+    # a quarter: taking out more leaves so few readings that any others fit
     most = min(_TOGETHER, len(state.measurement.places) // 4)
     for _ in range(most):
         gain, _, t = at.gains_of_readings()
@@ -250,6 +252,7 @@ def _masked_readings(state: State) -> list[Move]:
         if gain[worst] <= 0 or worst in {part.number for part in at.readings}:
             break
         at = at.plus([state.measurement.reading(worst)])
+        # on beyond a step that lowers the score: of two wrong readings that mask each other only both raise it
         best = at if at.score > best.score else best
     new = best.fixed[len(state.fixed) :]
     return [Move(best.score - state.score, new)] if len(new) > 1 else []

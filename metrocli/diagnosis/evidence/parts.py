@@ -105,6 +105,7 @@ class Knots:
         values, numbers = matrix.data.reshape(rows, m), matrix.indices.reshape(rows, m).astype(np.intp)
         copy = numbers[:, 0] // knots
         units = functions.count
+        # all zero: the row has no function of this covariate, but the sparse table has its entries all the same
         idle = ~values.any(axis=1)
         return cls(
             functions,

@@ -37,6 +37,7 @@ def gain_of_columns(explained: Array, rank: Array, squares: float | Array, dof: 
     The size has a g-prior. With `f = (T/q)/((S - T)/(nu - q))`, T the squares explained and q the rank, it is
     `(nu ln(S (nu - q)/((S - T) nu)) - q ln f)/2` for f > 1, else 0.
     """
+    # not the whole: where everything is explained f is infinite, and so would be the evidence
     t, q = np.minimum(explained, squares * (1 - 1e-12)), np.asarray(rank, dtype=float)
     with np.errstate(all="ignore"):
         f = (t / q) / ((squares - t) / (dof - q))
@@ -75,6 +76,7 @@ def price_of_variance(tests: float, level: float = LEVEL) -> float:
     """Return the gain of the likelihood at which one variance, of so many tested, has a level: half a chi-squared."""
     from scipy.special import ndtri
 
+    # one-sided: a variance can only be larger than 0
     return float(ndtri(level / max(tests, 1.0)) ** 2 / 2)
 
 
@@ -86,9 +88,11 @@ def counted(system: Linearised, families: Sequence[CandidateGroup], readings: in
     every = system.dof + PRIOR
     system, families = of_some_members(system, families, rng)
     noise = system.seen(rng.normal(size=(system.rows, DRAWS)))
+    # chi-square with as many degrees of freedom as the declared noise counts for, so that the draws have its part too
     squares, dof = (noise**2).sum(axis=0) + rng.chisquare(PRIOR, DRAWS), system.dof + PRIOR
     least = [smallest_of_family(family.columns, family.gram, family.raw, noise, squares, dof) for family in families]
     counts = [effective_number_of_tests(levels_) for levels_ in least]
     levels = [log_family(levels_, count) for levels_, count in zip(least, counts, strict=True)]
+    # one more for wrong readings, which are a family of their own
     causes = (effective_number_of_tests(np.min(levels, axis=0)) if levels else 0.0) + 1.0
     return Prices((*(causes * count for count in counts), causes * max(readings, 1)), every)

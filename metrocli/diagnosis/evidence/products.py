@@ -24,6 +24,7 @@ def local_part(m: Measurement, own: Array, x: Array) -> Array:
     """Return `E E' x` of columns E of single members."""
     order, begins = m.by_member
     absorbed = np.zeros(x.shape)
+    # member by member: one product for all would be as large as the table of all pairs of rows
     for a, b in pairwise(begins):
         rows = order[a:b]
         absorbed[rows] = own[rows] @ (own[rows].T @ x[rows])
@@ -119,6 +120,7 @@ def products_of(
     Products of two parts are computed once. `known` are those of a state that has some of the parts.
     """
     local = _local_parts(m, random)
+    # errors of a member change what its unknowns absorb, and with these what the shared unknowns do
     with_unknowns |= bool(local)
     shared = shared_parts(m, fixed, random, with_unknowns)
     parts = tuple((key, one.shape[1]) for key, one in (*shared, *local))
@@ -170,6 +172,7 @@ def _gram(m: Measurement, shared: Sequence[tuple[object, Array]], known: Product
         rows = slice(ends[i], ends[i + 1])
         right[rows] = _product(m, shared[i], residual)[:, 0]
         for j, other in enumerate(shared):
+            # in one order of the two, so that either finds the product of the other in the cache
             block = _product(m, shared[i], other) if i <= j else _product(m, other, shared[i]).T
             gram[rows, ends[j] : ends[j + 1]] = block
             gram[ends[j] : ends[j + 1], rows] = block.T

@@ -116,6 +116,7 @@ class _Scan:
         alike = [i for i, other in enumerate(self.family.alternatives) if _differs_in(chosen, other, self.name)]
         alike.sort(key=lambda i: dict(self.family.alternatives[i].scanned)[self.name])
         gains = self.less.of_family(self.one.family)[0][alike]
+        # -inf at both ends: the first and the last value of a scan can be peaks
         higher = np.concatenate([[-np.inf], gains, [-np.inf]])
         peaks = (gains >= higher[:-2]) & (gains >= higher[2:]) & (gains > _NEAR * gains.max(initial=0.0))
         ranked = sorted(np.flatnonzero(peaks).tolist(), key=lambda at: -gains[at])[:_STARTS]
@@ -134,6 +135,7 @@ class _Scan:
         conditions = self.less.measurement.job.model.readings[0].observations.conditions
         values = np.sort(parameter.grid(conditions))
         inside = np.flatnonzero((values > low) & (values < high))
+        # a step lies between two readings: values between these are all the same step
         if start.effect.is_step or not len(inside):
             return thinned(values[inside][values[inside] != own], _TRIED)
         # a grid can be coarser than the readings tell
@@ -174,6 +176,7 @@ def _closer(state: State, number: int, name: str) -> State:
     held = _Tried(scan.family.alternatives[one.number], known, one.rank, np.zeros((0, 0)))
     peaks = scan.peaks()
     best = max(peaks, key=lambda each: each.explained, default=held)
+    # a value that explains the same but for rounding would turn the state to and fro in each round
     best = best if best.explained > held.explained * (1 + 1e-9) else held
     others = tuple(alias for alias in one.aliases if alias[0] != name)
     aliases = (*others, *scan.aliases(peaks, best))

@@ -53,6 +53,7 @@ class Reweighted:
         p, weight = len(known.right), factor**2 - 1
         basis = m.system.basis.of_members.at(rows)
         member, shape = basis.member, (basis.members, basis.local.shape[1], every.shape[1])
+        # rows without a member have the number -1, whose local columns belong to somebody else
         lever = np.where(member[:, None] >= 0, basis.local, 0.0)
         order = np.argsort(member, kind="stable")
         begins = np.searchsorted(member[order], np.arange(basis.members + 1))
@@ -106,6 +107,7 @@ def _parts(order: Index, begins: Index) -> Iterator[Index]:
 
 def _sums(values: Array, order: Index, begins: Index) -> Array:
     """Return the sums of values (rows, ...) of each member; rows without a member come first in the order."""
+    # each member here has rows of its own: reduceat would give a value, and not 0, for an empty one
     if len(begins) < 2:
         return np.zeros((0, *values.shape[1:]))
     return np.asarray(np.add.reduceat(values[order], begins[:-1], axis=0))
@@ -120,5 +122,6 @@ def _with_unknowns(state: State) -> Products:
     gram = np.eye(k + p)
     gram[k:, k:] = known.gram
     of_shared = np.concatenate([np.full(k, -1), known.of_shared])
+    # the residual is free of the unknowns, so that its products with them are 0
     right, mixed = np.concatenate([np.zeros(k), known.right]), np.zeros((*known.mixed.shape[:2], k + p + 1))
     return replace(known, gram=gram, right=right, unknowns=k, of_shared=of_shared, mixed=mixed, parts=())

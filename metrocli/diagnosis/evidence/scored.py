@@ -52,6 +52,7 @@ def _in_turn(gram: Array, right: Array, ranks: Sequence[int], squares: float, do
     """Return the sum of the evidence of fixed columns, each beside those before it."""
     scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
     unit = gram / scale / scale[:, None]
+    # the bump lets a column that depends on others pass; its diagonal shows below that it did
     lower = np.linalg.cholesky(unit + 1e-12 * np.eye(len(unit)))
     explained = np.linalg.solve(lower, right / scale) ** 2
     # a column that depends on those before it explains nothing
@@ -118,6 +119,7 @@ class Scored:
         at = self.fit.fixed
         lower, sought = self.fit.lower[at:, at:], self.fit.sought[at:]
         ranks = tuple(part.rank for part in self.fixed)
+        # the last rows of the factor of the whole system are the factor of what is left beside all before them
         return Given(lower @ lower.T, lower @ sought, float(self.fit.squares + sought @ sought), self.fit.dof, ranks)
 
     @cached_property
@@ -152,6 +154,7 @@ class Scored:
 
     def _prices(self, fixed: Sequence[Fixed]) -> float:
         names = sum(part.sort == EFFECT for part in fixed)
+        # the first name pays nothing further, unless wrong readings have been named before it
         alone = all(not part.is_reading for part in fixed)
         further = FURTHER * max(names - alone, 0)
         noise = len(self.measurement.noise) * self.measurement.price_of_noise
@@ -182,6 +185,7 @@ class Scored:
     def beside(self, part: Fixed) -> Self:
         """Return the state without a fixed part, at the same sizes of the random parts."""
         others = [other for other in self.fixed if other is not part]
+        # no steps: sizes that were estimated again would take up what the part has explained
         return type(self).of(self.measurement, others, self.random, self.logs, 0, self.fit.products)
 
     def with_fixed(self, number: int, part: Fixed) -> Self:
@@ -196,6 +200,7 @@ class Scored:
         if not random:
             return type(self).of(measurement, fixed)
         here, there = self.measurement, measurement
+        # another linearisation has other columns; the same one with other weights has the old ones times a factor
         if (here.unweighted or here) is not (there.unweighted or there):
             return type(self).of(there, fixed, [remade(there, part) for part in self.random], self.logs)
         factor = (there.weights / here.weights)[:, None]

@@ -83,6 +83,7 @@ def forward(
                 break
             best = whole
         new = {part.key for part in best.named} - {part.key for part in state.named}
+        # settled first: a weak part may only have lacked the likeliest sizes of the others
         state = without_weak_fixed(refined(best.settled(), new))
         if stop is not None and stop(state):
             break
@@ -101,9 +102,11 @@ def _best(state: State, possible: Sequence[Move]) -> State | None:
             tried.append(_kept(_with_all_readings(move.made(state)), move))
         else:
             tried.append((*move.tried(state), move))
+        # both are tried, since a correlated error that enters first takes the place of the effects that it resembles
         if move.is_correlated:
             named = _with_all_effects(state) if named is None else named
             tried += [_kept(move.made(named), move)] if named is not state else []
+        # beside fixed parts alone quick gains are exact, so that the second best cannot be better
         if not state.random and move.fixed:
             break
     best = max(tried, key=lambda one: one[0])
@@ -132,6 +135,8 @@ def without_weak_fixed(state: State) -> State:
     while state.fixed:
         nets = state.without_fixed()
         worst = int(np.argmin(nets))
+        # beside random parts a net gain at fixed sizes is an upper bound only, so
+        # those a little above 0 are tried as well
         if nets[worst] > (_SURE if state.random else 0.0):
             break
         other = state.minus([state.fixed[worst]])
@@ -147,6 +152,7 @@ def without_weak_random(state: State) -> State:
     Without one of them the sizes of the others change, so these are estimated.
     """
     while state.random:
+        # twice the bound for fixed parts: sizes of the other random parts take up more of what goes
         weak = [j for j in range(len(state.random)) if _quick(state, j) < 2 * _SURE]
         fewer = max((state.minus([state.random[j]]) for j in weak), key=lambda one: one.score, default=state)
         if fewer.score < state.score or fewer is state:
@@ -178,6 +184,7 @@ def swapped(state: State) -> State:
                 return state
             less = state.minus([part])
             own = state.score - less.score
+            # what could enter instead has to promise half of what goes: a search for less is not worth its time
             if own > _CERTAIN or _others_in_turn(less, part) < own / 2:
                 continue
             other = forward(less, 3, without=part)
@@ -218,5 +225,6 @@ def _others_in_turn(state: State, but: Fixed | Random) -> float:
 def _quick(state: State, number: int) -> float:
     """Return what a random part adds to the score, at the same sizes of the others: at least what it does."""
     logs = state.logs.copy()
+    # e^-25 of the noise: as good as left out, and the products stay as they are
     logs[number] = -25.0
     return state.score - replace(state, fit=at_sizes(state, logs), held={}).score - state.random[number].price

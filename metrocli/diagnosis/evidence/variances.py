@@ -41,13 +41,16 @@ def gain_of_variance(
     if not len(d):
         return 0.0, -30.0
     left = max(rest - float(y2.sum()), 1e-300)
+    # from a variance that changes nothing (1e-4 of the noise) to one of a million times the noise
     grid = np.minimum(np.linspace(-9, 14, _GRID) - np.log(np.median(d)), most)
     best, at = np.zeros(0), 0
     for _ in range(_ROUNDS):
         grown = 1 + np.exp(grid)[:, None] * d
+        # ties go to the first, so that a variance which changes nothing stays nothing
         best = -(dof * np.log((y2 / grown).sum(axis=1) + left) + np.log(grown).sum(axis=1)) / 2
         at = int(np.argmax(best))
         low, high = grid[max(at - 1, 0)], grid[min(at + 1, len(grid) - 1)]
+        # finer between the neighbours of the best: three rounds end at 1/16 of a step of the first grid
         kept, grid = float(grid[at]), np.linspace(low, high, 9)
     return float(best[at] + dof * np.log(rest) / 2), kept
 
@@ -156,6 +159,8 @@ def correlated_errors(state: State, quiet: set[int] | None = None, most: int = 3
         for length in m.lengths(number):
             at = LENGTHS.index(length)
             gram, right = blocks.turned(m.kernel(number, length))
+            # score test of a variance at 0: what is found less what is expected,
+            # over its standard deviation for white noise
             z = float((right**2).sum()) * scale - float(np.einsum("ukk->", gram))
             z /= np.sqrt(2 * float((gram**2).sum()) + 1e-300)
             scored.append((z, (number, at, -1), gram, right))

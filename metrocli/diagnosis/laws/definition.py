@@ -59,6 +59,7 @@ def _unit_of(term: Term) -> str:
     """Return the unit of the sizes of a term: with units of headings where these are plain names, else base units."""
     known, powers = term.spot.acting.variables_at({}), term.form.powers_of()
     of_component = term.spot.acting.unit_of(term.spot.component)
+    # a unit that is a quotient itself, such as mm/m, cannot stand behind another /
     by_column = [known[name].heading_unit or known[name].unit for name in powers for _ in range(powers[name])]
     if any(known[name].of_data for name in powers) and all(_NAMED.fullmatch(one) for one in by_column):
         return "/".join([of_component, *(one for one in by_column if one != "1")])

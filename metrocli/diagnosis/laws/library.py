@@ -131,12 +131,14 @@ class Library:
         return counted(self.system, self.families, 1, np.random.default_rng(_SEED))
 
     def _forms(self) -> list[tuple[_Carrier, list[TermForm]]]:
+        # at most 30, 15, 8 or 4 waves over the range of a variable
         for periods in (59, 29, 15, 7):
             carried = [(carrier, carrier.forms(periods)) for carrier in self._carriers]
             # a term at one place has the rows of its readings only
             numbers = sum(len(form.factors) * len(carrier.rows) for carrier, forms in carried for form in forms)
             if numbers <= MOST_NUMBERS:
                 return carried
+        # even so too many: then no law of a single place is sought
         return [(carrier, forms) for carrier, forms in carried if not carrier.spot.where]
 
     def _family(self, kind: str, factors: int, items: Sequence[tuple[_Carrier, list[TermForm]]]) -> CandidateGroup:
@@ -148,6 +150,7 @@ class Library:
         self.terms.append(tuple(terms))
         columns = CandidateColumns(len(terms), factors, tuple(parts))
         alternatives = tuple(Candidate(_EFFECT, (str(number),)) for number in range(len(terms)))
+        # a thousand times too large: then a term of which less than a thousandth shows counts as absorbed
         scale = columns.norms() * (_SHOWS / VISIBLE)
         return CandidateGroup(kind, alternatives, columns, scale, columns.grams(self.system.basis))
 
@@ -186,6 +189,7 @@ def _carriers(job: AdjustedJob, system: Linearised) -> Iterator[_Carrier]:
         whole, values = _at(job, system, acting)
         for number, name in enumerate(acting.components):
             change = whole[:, number]
+            # a component that changes the readings as an earlier one does has no law of its own
             if not np.abs(change).max(initial=0.0) > 0 or _alike(change, columns):
                 continue
             columns.append(change)
@@ -226,6 +230,7 @@ def _at(job: AdjustedJob, system: Linearised, acting: Acting) -> tuple[Array, di
     own, partly = {*acting.components, acting.name} - {"angle"}, set[str]()
     for group in job.model.readings:
         links = group.chain.links
+        # the last link that gives it: links of effects give it again, behind the one that makes it
         at = next((i for i in reversed(range(len(links))) if links[i].gives is acting.quantity), None)
         if at is None:
             continue
@@ -236,6 +241,7 @@ def _at(job: AdjustedJob, system: Linearised, acting: Acting) -> tuple[Array, di
         by_input = np.broadcast_to(by_input, (d, len(acting.components), n))
         start = system.first[group.name]
         rows = slice(start, start + d * n)
+        # whitened readings are in their own deviations; the rows of the system may have weights besides
         factor = observations.deviations.T.ravel() / system.scale[rows]
         whitened = np.moveaxis(observations.whitened(np.array(by_input)), -1, 0).reshape(n * d, -1)
         whole[rows] = whitened * factor[:, None]

@@ -103,6 +103,7 @@ def with_laws(state: State, plain: State, ordered: Ordered = map) -> LawSearchRe
     library = Library(m.job, plain.measurement.system)
     best: tuple[Lawful, State] | None = None
     for base in _bases(plain):
+        # what it has to gain is known: a base far behind the state is not searched at all
         start = among_terms(base, library, state.score + _LAW - base.score)
         lawful = None if start is None else forward(start, 0.0)
         if lawful is not None and lawful.steps and (best is None or lawful.state.score > best[0].state.score):
@@ -113,6 +114,7 @@ def with_laws(state: State, plain: State, ordered: Ordered = map) -> LawSearchRe
     gains = _gains(lawful, base, ordered)
     simpler = [_law(lawful.first(count), base, gain, state) for count, gain in enumerate(gains, 1)]
     chosen = max(simpler, key=lambda law: law.gain.log_score)
+    # few readings predict held-out ones badly: then large evidence is enough, if they do not speak against it
     surely = best[0].state.score > state.score + _SURELY and chosen.gain.log_score > 0
     if not (chosen.gain.shown or surely) or _is_named(chosen, state):
         return LawSearchResult(state)
@@ -158,6 +160,7 @@ class _Folds:
         bare = Model(tuple(part for part in state.fixed if id(part) not in terms), state.random, state.logs)
         before, model, pairs = fold.predicted(bare), bare, list[tuple[Held, Held]]()
         for count in range(len(self.lawful.steps)):
+            # once no term enters in a fold, no further one does there
             if len(model.fixed) == len(bare.fixed) + count:
                 one = self._chosen(fold, model, count)
                 model = model if one is None else model.with_fixed((*model.fixed, one))
@@ -173,6 +176,7 @@ class _Folds:
         for number, terms in enumerate(library.terms):
             net = train.nets(number)
             if count:
+                # later terms act where the first one of the law does
                 net = np.where([term.place == place for term in terms], net, -np.inf)
             if len(net) and net.max() > best:
                 best, chosen = float(net.max()), (number, int(np.argmax(net)))
@@ -191,6 +195,7 @@ def _law(lawful: Lawful, base: State, gain: Gain, instead: State) -> Law:
     system = base.measurement.system
     whole = columns_of_terms(library, terms)
     left = base.seen(whole)
+    # columns of unit length: powers of a variable differ by many decades, and the cut of the pseudo-inverse is relative
     scale = np.maximum(np.sqrt(np.maximum((whole * left).sum(axis=0), 0.0)), 1e-300)
     inverse = np.linalg.pinv((whole / scale).T @ (left / scale), rcond=1e-10, hermitian=True)
     sizes = inverse @ ((whole / scale).T @ base.residual) / scale
@@ -198,6 +203,7 @@ def _law(lawful: Lawful, base: State, gain: Gain, instead: State) -> Law:
     cuts = np.cumsum([len(term.form.factors) for term in terms])[:-1]
     acting = whole.any(axis=1)
     shown = np.where(acting & system.alike, (base.residual - state.residual) * system.scale, 0.0)
+    # the smaller of both variances: the share is of what is above the noise, and structure left over is no noise
     noise = min(state.variance, instead.variance) * base.freedoms
     part = (base.fit.squares - state.fit.squares) / max(base.fit.squares - noise, 1e-300)
     nets = state.without_fixed()[-len(terms) :]
@@ -234,6 +240,7 @@ def _data(library: Library, terms: Sequence[Term], sizes: Array, after: Array) -
     steps = np.linspace(x.min(), x.max(), _STEPS)
     factors = [columns_of([term.form], {name: steps})[:, 0] for term in terms]
     curve = np.concatenate([np.broadcast_to(factor, (_STEPS, factor.shape[1])) for factor in factors], axis=1) @ sizes
+    # divided by the change per unit of the component: each reading shows the law itself
     law, residual = law[rows] / change[rows], residual[rows] / change[rows]
     unit, adds_unit = spot.acting.variables_at({})[name].unit, spot.acting.unit_of(spot.component)
     return LawData(name, unit, x, law, residual, adds_unit, (steps, curve))

@@ -58,6 +58,8 @@ def among_terms(state: State, library: Library, needed: float = 0.0) -> Lawful |
     Further terms seldom gain more than the first.
     """
     m = state.measurement
+    # the least prices that there can be: the true ones take a count of
+    # independent tests, which costs more than this look
     plain = Prices(tuple(LEAST_TESTS for _ in library.families) + (1.0,), m.prices.dof)
     tried = _with_candidates(state, library, plain)
     nets = (np.subtract(*tried.gains_of_family(i)[:2]).max(initial=-np.inf) for i in range(len(library.families)))
@@ -84,6 +86,7 @@ def forward(lawful: Lawful, price: float, most: int = MOST_TERMS) -> Lawful:
         tried = best_terms(lawful)
         if not tried or tried[0][0] < -_NEAR:
             break
+        # a coarse scan can rank them wrongly: the nearest are compared at refined values
         near = [term for term in tried if term[0] > tried[0][0] - _NEAR][:_MOST_REFINED]
         refined = [lawful.plus(*_refined(lawful, number, at)) for _, number, at in near]
         best = max(refined, key=lambda term: term.state.score)
@@ -129,6 +132,7 @@ def _refined(lawful: Lawful, family: int, number: int) -> tuple[Term, Fixed]:
     here = int(np.argmin(np.abs(values - term.form.scanned)))
     low, high = values[max(here - 1, 0)], values[min(here + 1, len(values) - 1)]
     for _ in range(_ROUNDS):
+        # equal steps of 1 / s: waves differ by their frequency, saturations by their rate
         tried = [term.at(float(value)) for value in 1 / np.linspace(1 / low, 1 / high, _FINE)]
         columns = np.stack([library.columns(refined) for refined in tried], axis=1)
         n, k, q = columns.shape
@@ -139,6 +143,7 @@ def _refined(lawful: Lawful, family: int, number: int) -> tuple[Term, Fixed]:
         best = int(np.argmax(gain))
         term = tried[best]
         low, high = (float(tried[at].form.scanned or 0.0) for at in (max(best - 1, 0), min(best + 1, _FINE - 1)))
+    # a number of its own: products are kept by it, and those of the scanned value are others
     return term, state.measurement.term(library.columns(term), (family, next(library.numbers)), price)
 
 

@@ -101,6 +101,7 @@ def _waves(name: str, values: Array, periods: int) -> Iterator[TermForm]:
     span, steps = float(np.ptp(values)), len(np.unique(values))
     if steps < 6:
         return
+    # fewer than half a wave for each step of the variable: beyond that two waves have the same values
     for turns in np.arange(1.0, min((steps - 1) / 2, periods / 2 + 0.5) + 0.1, 0.5):
         texts = (f"sin(2*pi*{name}/{{s}})", f"cos(2*pi*{name}/{{s}})")
         yield TermForm(WAVES, texts, (name,), span / float(turns))
@@ -109,12 +110,14 @@ def _waves(name: str, values: Array, periods: int) -> Iterator[TermForm]:
 def _saturations(name: str, values: Array) -> Iterator[TermForm]:
     span = float(np.ptp(values))
     if span > 0:
+        # below a hundredth of the span it is a step at the begin, above the span a straight line
         for constant in np.geomspace(span / 100, span, 30):
             yield TermForm(SATURATIONS, (f"(1 - exp(-{name}/{{s}}))",), (name,), float(constant))
 
 
 def _steps(name: str, values: Array) -> Iterator[TermForm]:
     unique = np.unique(values)
+    # between two values: at a value, the expression of the step would be 0 / 0
     middles = (unique[1:] + unique[:-1]) / 2
     kept = middles[np.unique(np.linspace(0, len(middles) - 1, 80).astype(int))] if len(middles) else middles
     for at in kept.tolist():

@@ -90,6 +90,7 @@ class Basis:
     def squares(self, rows: Index | Mask | slice = slice(None)) -> Array:
         """Return the sum of squares of each row, the share of a reading that the unknowns absorb."""
         own = np.arange(len(self.local))[rows]
+        # at least one part, also of no rows, so that there is something to join
         some = (own[start : start + _AT_ONCE] for start in range(0, max(len(own), 1), _AT_ONCE))
         parts = ((self.local[part], self.shared[part]) for part in some)
         return np.concatenate([sum(np.einsum("rk,rk->r", part, part) for part in both) for both in parts])
@@ -128,6 +129,7 @@ class Basis:
     def _of_whole_members(self) -> Iterator[Index]:
         """Yield all rows, those of some whole members at once."""
         order = np.argsort(self.member, kind="stable")
+        # each stretch is moved back to where the member of its first row begins
         begins = np.searchsorted(self.member[order], self.member[order[::_AT_ONCE]])
         yield from (np.sort(order[a:b]) for a, b in pairwise([*np.unique(begins), len(order)]))
 
@@ -138,7 +140,9 @@ class Basis:
         the later rows of its member have summed up to, with `u = l'A + l'l v/2` and `A = sum l v'` of these rows.
         """
         member, values = self.member[rows][::-1], values[::-1]
+        # backwards, because the sums run from the last row to the first: a step acts from some time on
         local = np.where(member[:, None] >= 0, self.local[rows][::-1], 0.0)
+        # half of `l'l v v'`: U enters twice, as `V'U + U'V`
         growth = np.einsum("rk,rk->r", local, local)[:, None] * values / 2
         for _, at in members_of_equal_size(member, self.members):
             if at.shape[1] > 1:
@@ -187,8 +191,10 @@ class Basis:
         gram = np.zeros((self.members + 1, local.shape[1], local.shape[1]))
         for i, j in combinations_with_replacement(range(local.shape[1]), 2):
             sums = np.bincount(self.member + 1, local[:, i] * local[:, j], self.members + 1)
+            # rows without a member are counted at 0; the roll brings them to the end, where index -1 finds them
             gram[:, i, j] = gram[:, j, i] = np.roll(sums, -1)
         nothing = np.einsum("mqq->mq", gram) == 0
+        # 1 for columns of a member that are 0: they stay 0, and add nothing to the determinant
         lower = np.linalg.cholesky(gram + np.eye(local.shape[1]) * nothing[:, :, None])
         log_det = 2 * float(np.log(np.einsum("mqq->mq", lower)).sum())
         inverse = np.linalg.inv(lower)
@@ -245,6 +251,7 @@ def without_gathering(rows: Index) -> Index | slice:
     if len(rows) < 2:
         return rows
     first, last, step = int(rows[0]), int(rows[-1]), int(rows[1] - rows[0])
+    # the last comparison is of all rows; the first two spare it for most
     even = step > 0 and last - first == step * (len(rows) - 1) and bool((np.diff(rows) == step).all())
     return slice(first, last + 1, step) if even else rows
 

@@ -135,6 +135,7 @@ def families_of(job: AdjustedJob, system: Linearised) -> tuple[list[CandidateGro
         for family in _of_effect(job, system, effect, missing):
             families.setdefault((family.name, family.columns.parameters), []).append(family)
     tested = {candidate.effect.form for parts in families.values() for part in parts for candidate in part.alternatives}
+    # without a place the whole cause is meant: another form of it may be tested all the same
     untested = [gap for gap in missing if gap.where or gap.effect.form not in tested]
     return [*map(_joined, families.values())], untested
 
@@ -186,6 +187,7 @@ def _of_effect(
 ) -> Iterator[CandidateGroup]:
     """Yield the families of an effect; add to `missing` where it has no value at a reading."""
     places = _absent(job.model, effect)
+    # one linearisation serves all places whose members are rows of the readings' index; others change the chain itself
     together = bool(effect.keys) and not effect.selects and all(job.model.places[key].index for key in effect.keys)
     for chosen in [places] if together else [[place] for place in places]:
         by_size: dict[int, list[_Visible]] = {}
@@ -281,6 +283,7 @@ def _steps(
     tried = scans(job.model, effect, system.rows)
     if not tried:
         return
+    # the course of all steps of a place: it acts from the earliest reading on
     full, block, chosen = next(scan(job.model, system, effect, places, [{name: float(np.nanmin(times))}]))
     courses = []
     for place, names, own in of_places(job.model, block, chosen, places):

@@ -202,6 +202,7 @@ class Steps:
     def _from_each_on(self, sums: Iterable[Array]) -> Array:
         """Return the sums from each alternative's time on, of those over the stretches, the last stretch first."""
         first, own = self._stretches
+        # from the last stretch on, since what acts from a time on is the sum of all later stretches
         sums_so_far = np.cumsum(sums if isinstance(sums, np.ndarray) else np.stack(list(sums)), axis=0)
         return np.asarray(sums_so_far[len(first) - 1 - own])
 
@@ -244,6 +245,7 @@ class Steps:
 
     def cut(self, there: Mask) -> Steps:
         """Return the part at some of its rows (r,)."""
+        # where each step begins among the rows that are left; one that begins behind the last has no row
         begins = np.concatenate([[0], np.cumsum(there)])[self.begins]
         acts = begins < there.sum()
         own = np.flatnonzero(there)

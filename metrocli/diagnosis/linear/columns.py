@@ -59,6 +59,7 @@ class Stacked:
 
     def products(self, visible: Array, parameters: int) -> Array:
         """Return the products with visible vectors (rows, m), (alternatives, parameters, m)."""
+        # the table ends with the last row that a small part changes
         sums = self.columns @ visible[: self.columns.shape[1]]
         return np.asarray(sums.reshape(len(self.numbers), parameters, visible.shape[1]))
 

@@ -42,6 +42,7 @@ def smallest_in_noise(gram: Array, right: Array, scale: Array, squares: Array, d
     gain = ((np.swapaxes(root, 1, 2) @ right) ** 2).sum(axis=1)
     rank = np.where(chosen, ranks_of(root), 0)
     best = np.zeros(len(squares))
+    # alternatives of different rank have different tails: their smallest p is compared, and not the squares
     for q in np.unique(rank[rank > 0]):
         most = gain[rank == q].max(axis=0)
         if dof > q:
@@ -55,6 +56,7 @@ def effective_number_of_tests(log_p: Array) -> float:
     It is estimated from the 5, 10, 20 and 30 % quantiles.
     """
     p = np.exp(log_p)
+    # 1 - (1 - p)^k = u solved for k, at levels near those of a price
     counts = [np.log1p(-u) / np.log1p(-min(float(np.quantile(p, u)), 1 - 1e-12)) for u in (0.05, 0.1, 0.2, 0.3)]
     return max(1.0, float(np.median(counts)))
 
@@ -70,6 +72,7 @@ def of_some_members(
     basis = system.basis
     if system.rows <= 2 * _SAMPLE or basis.members < 2:
         return system, families
+    # one member from each stretch: a plain draw could leave out a whole region
     ends = np.linspace(0, basis.members, basis.members * _SAMPLE // system.rows + 1).astype(int)
     there = np.zeros(basis.members + 1, dtype=bool)
     there[rng.integers(ends[:-1], ends[1:])] = there[-1] = True

@@ -30,6 +30,7 @@ def log_tail(share: Array, q: float, rest: float) -> Array:
 def log_family(log_p: Array | float, tests: float) -> Array:
     """Return ln of `1 - (1 - p)^tests`, the level of the smallest p-value of `tests` independent tests."""
     p = np.exp(np.asarray(log_p, dtype=float))
+    # there `1 - (1 - p)^m` is m p to nine digits, and the logarithm of p, which may be below e^-700, stays exact
     small = p * tests < 1e-9
     whole = -np.expm1(tests * np.log1p(-np.minimum(p, 1 - 1e-16)))
     return np.asarray(np.where(small, np.minimum(log_p + np.log(tests), 0.0), np.log(np.maximum(whole, 1e-300))))
@@ -46,6 +47,7 @@ def noncentrality(level: float, q: int, rest: float, power: float = 0.8) -> floa
 
     bound = critical(level, q, rest)
     parameter = float(ncfdtrinc(q, rest, 1 - power, bound))
+    # ncfdtrinc fails where the bound is far out; at q F the power is about a half
     return parameter if np.isfinite(parameter) and parameter > 0 else float(q * bound)
 
 
@@ -60,6 +62,7 @@ def critical(level: float, q: int, rest: float) -> float:
     """Return the critical F; for a level that can be below rounding by bisection of the logarithm of the tail."""
     from scipy.special import fdtri
 
+    # `1 - level` keeps too few digits of smaller ones
     if level > 1e-12:
         return float(fdtri(q, rest, 1 - level))
     low, high = 0.0, 1.0 - 1e-12

@@ -120,6 +120,7 @@ class _Rows:
         for touch in linear.touches:
             if block is not None and touch.block == block.name:
                 here = local.members[touch.index]
+                # fixed entries have no column, so that the shared columns must not be freed of them
                 own[here] = (np.moveaxis(touch.jacobian, -1, 0) * block.free[touch.index][:, None, :])[here]
                 member[here] = touch.index[here]
             if touch.block in layout.columns:
@@ -174,6 +175,7 @@ def _factored(
     # a free network leaves as many directions open as its frame has movements
     open_ones = 0 if frame is None else frame.reduced.shape[1]
     unit, turn = _orthonormal(left, left.shape[1] - open_ones)
+    # an unknown that no reading shows has a column of 0; its change is 0, and not 0/0
     factor = np.where(sizes > 0, 1 / np.where(sizes > 0, sizes, 1.0), 0.0)
     shared = factor[:, None] * turn
     by_member = coupling[: own.shape[1] * members].reshape(members, own.shape[1], layout.width) * np.where(
@@ -219,6 +221,7 @@ def _orthonormal_members(columns: Array, member: Index, members: int) -> tuple[A
 def _orthonormal(columns: Array, rank: int) -> tuple[Array, Array]:
     """Return an orthonormal basis (rows, rank) of columns (rows, q), and the turn (q, rank) that gives it."""
     unit, turn = orthonormalised(columns, _WELL)
+    # the Gram matrix has lost the digits that tell the last directions from the open ones; the SVD keeps them
     if turn.shape[1] != rank:
         u, s, vt = thin_svd(columns)
         unit, turn = u[:, :rank], vt[:rank].T / s[:rank]

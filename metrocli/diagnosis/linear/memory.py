@@ -81,6 +81,7 @@ def part_of(job: AdjustedJob, share: float) -> AdjustedJob | None:
     there = ~local.members
     there[members[np.random.default_rng(_SEED).integers(ends[:-1], ends[1:])]] = True
     kept: dict[str, Mask] = {
+        # all: a reading of two members is kept only if both are
         group.name: np.atleast_1d(there[np.atleast_2d(group.observations.index[block.name])].all(axis=0))
         for group in model.groups
         if block.name in group.chain.blocks and block.name in group.observations.index
@@ -89,6 +90,7 @@ def part_of(job: AdjustedJob, share: float) -> AdjustedJob | None:
     fewer = model.with_blocks({**model.blocks, block.name: replace(block, free=block.free & there[:, None])})
     datum = model.datum
     if datum is not None and datum.block == block.name:
+        # a member that is held cannot define the frame of those that move
         datum = replace(datum, members=datum.members * there)
     return replace(
         job,

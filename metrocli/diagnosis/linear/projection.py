@@ -70,6 +70,7 @@ class Linearised:
     @cached_property
     def dof(self) -> int:
         """Degrees of freedom, the trace of M."""
+        # the trace is a whole number but for rounding: each direction counts as one
         return round(self.rows - self.idle - self.basis.trace)
 
     @cached_property
@@ -96,6 +97,7 @@ class Linearised:
 
         Groups of few readings, which show too little of their noise, are left out.
         """
+        # a single group has no other to be compared with
         groups = self.model.readings if self.model.readings[1:] else ()
         yield from ((group.name, self.rows_of(group)) for group in groups if group.observations.count >= FEWEST)
 
@@ -210,6 +212,7 @@ def run_of(group: Group, blocks: Mapping[str, Block]) -> ChainValues:
     """Return the values and derivatives along a chain at the values of the blocks."""
     links, steps = group.chain.links, group.chain.steps(blocks, group.observations, frozenset(blocks))
     outer: list[Array | None] = [None]
+    # without the first link, which has no input
     for step in steps[:0:-1]:
         after, by_input = outer[0], step.by_input
         outer.insert(0, after if by_input is None else by_input if after is None else through(after, by_input))
@@ -229,6 +232,7 @@ def scatter(full: Array, jacobian: Array, columns: Index) -> None:
     for a in range(columns.shape[1]):
         at = columns[:, a]
         kept = at >= 0
+        # all readings use the same member: a slice is added to, which is several times faster than gathered rows
         if len(at) and at[0] >= 0 and (at == at[0]).all():
             full[:, :, at[0]] += jacobian[:, a, :].T
         else:

@@ -90,6 +90,7 @@ def orthonormalised(columns: Array, least: float) -> tuple[Array, Array]:
     bound, turn = least**2, np.eye(columns.shape[1])
     for _ in range(2):
         step, even = whitening(columns.T @ columns, bound)
+        # the second step has unit columns but for rounding; directions were left out by the first one
         columns, turn, bound = columns @ step, turn @ step, 0.0
         if even:
             break

@@ -37,6 +37,7 @@ def scans(model: Model, effect: Effect, rows: int) -> list[dict[str, float]]:
     for parameter in effect.scanned:
         values: Array = np.zeros(0)
         if parameter.place:
+            # from the second place on: what acts from the first one on acts on all
             values = np.arange(1.0, len(model.places[parameter.place].names))
         elif parameter.grid is not None:
             grid = parameter.grid(model.readings[0].observations.conditions)
@@ -63,6 +64,7 @@ def most_tried(effect: Effect, rows: int) -> int:
 def _of_each(effect: Effect, rows: int) -> int:
     """Return how many values of each scanned number are tried at most, so that the columns of all combinations fit."""
     numbers = sum(parameter.grid is not None for parameter in effect.scanned)
+    # the root of a whole power may be rounded to just below it
     return int(_held(effect, rows) ** (1 / max(numbers, 1)) + 1e-9)
 
 
@@ -136,9 +138,11 @@ def _between(sketches: Mapping[float, Sequence[Array]], grid: Array) -> list[flo
     tried = sorted(sketches)
     at = np.searchsorted(grid, tried)
     cosines = [
+        # at the place where they differ most: a gap that one tracer shows is a gap
         min((_alike(a, b) for a, b in zip(sketches[low], sketches[high], strict=False)), default=1.0)
         for low, high in itertools.pairwise(tried)
     ]
+    # neighbours in the grid have nothing between them
     gaps = [(cosine, (a + b) // 2) for cosine, (a, b) in zip(cosines, itertools.pairwise(at), strict=True) if b - a > 1]
     return [float(grid[middle]) for cosine, middle in sorted(gaps) if cosine < ALIKE]
 

@@ -58,6 +58,7 @@ def scan(
     first = extended.blocks[extended.added[-1].block]
     before = model.blocks.get(first.name)
     chosen = first.free.copy()
+    # entries that the model estimates already are no candidates
     if before is not None:
         chosen[:, : before.size] &= ~before.free
     for values in scans:
@@ -67,6 +68,7 @@ def scan(
         for group in extended.readings:
             columns = _whitened(system, group, blocks, block, chosen)
             start = system.first[group.name]
+            # the noise of the system, which may be weighted; `_whitened` takes that of the group
             factor = group.observations.deviations.T.ravel() / system.scale[start : start + len(columns)]
             full[start : start + len(columns)] = columns * factor[:, None]
         yield full, block, chosen
@@ -107,8 +109,11 @@ def of_places(
     member, column = np.nonzero(chosen)
     before = model.blocks.get(block.name)
     for number, place in enumerate(places if chosen.any() else ()):
+        # member 0 of a new block belongs to the readings elsewhere, where the effect does not act
         own = member == (number + 1 if len(block.members) > 1 and before is None else _row(block.members, place))
         if not own.any():
+            # an effect whose block has no member of the name, as one of the whole
+            # chain, has all entries for its one place
             own = np.ones(len(member), dtype=bool) if len(places) == 1 else own
         yield place, tuple(block.columns[i] for i in column[own]), own
 
@@ -152,6 +157,7 @@ def columns_by_splicing(system: Linearised, group: Group, blocks: Mapping[str, B
     """
     before = next(other for other in system.model.groups if other.name == group.name)
     links, old = group.chain.links, before.chain.links
+    # identity and not equality: the links of an extended chain are the very objects of the old one
     at = next((i for i, link in enumerate(links) if i == len(old) or link is not old[i]), 0)
     if at == 0 or len(links) != len(old) + 1 or any(a is not b for a, b in zip(links[at + 1 :], old[at:], strict=True)):
         return None
@@ -159,6 +165,7 @@ def columns_by_splicing(system: Linearised, group: Group, blocks: Mapping[str, B
     value, outer = run.values[at], run.outer[at]
     step = links[at].step(value, LinkContext(blocks, group.observations, frozenset({block.name})))
     inner = step.by_block.get(block.name)
+    # an effect at size 0 must leave the values as they are, or all links behind it would have other derivatives
     same = np.array_equal(step.value, np.broadcast_to(value, step.value.shape))
     if inner is None or inner.ndim != 3 or group.weights is not None or not same:
         return None

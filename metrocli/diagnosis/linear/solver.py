@@ -51,10 +51,12 @@ class Solver:
         delta[self.places[1]] = shared
         if members:
             own = flat[: members * q].reshape(members, q, flat.shape[1])
+            # members follow the shared unknowns, which take `coupling` times their change from the members' coordinates
             own = np.matmul(self.inverses, own - np.tensordot(self.coupling, shared, 1))
             numbers, free = self._free
             delta[numbers] = own.reshape(self.places[0].size, flat.shape[1])[free]
         if self.movements.shape[1]:
+            # before the sizes that scatter: these have been computed in the datum
             delta -= self.movements @ (self.conditions @ delta)
         if self.random.shape[1]:
             delta += self.random @ flat[fixed:]

@@ -107,6 +107,7 @@ def next_readings(diagnosis: Diagnosis, count: int) -> Next:
             filter(_is_unseen, diagnosis.design.candidates), key=lambda candidate: -candidate.undetected.size
         )
         tried = [_of_candidate(job, candidate.alternative, proposed, known) for candidate in unseen[:_TRIED]]
+        # those that hide most come first: the first few that proposals can show are enough
         tests = [test for test in tried if _can_rise(test, count)][:_UNSEEN]
     return _chosen(tests, proposed, count)
 
@@ -173,6 +174,7 @@ def _of_indistinct(diagnosis: Diagnosis, proposed: Sequence[Proposal], known: Kn
 def _of_candidate(job: AdjustedJob, alternative: Candidate, proposed: Sequence[Proposal], known: KnownErrors) -> _Test:
     """Return the test of an effect of its largest usual size, all its parameters alike."""
     count = len(alternative.parameters)
+    # the length of the vector of sizes is the usual size
     sizes = np.full(count, alternative.effect.plausible / np.sqrt(count))
     return _Test(f"shows {alternative.words}", count, sizes, pool_of(job, proposed, [alternative], known=known))
 

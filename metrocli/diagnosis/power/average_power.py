@@ -74,6 +74,7 @@ def size_separated(gram: Array, confounded: Array, wanted: float) -> float:
 
 def _size(mean_power: Callable[[float], float], wanted: float, high: float) -> float:
     """Return the size with a mean power, which grows with the size; `high` is where the search begins."""
+    # doubled to infinity: a size that the readings never find
     while mean_power(high) < wanted:
         high *= 2
         if not np.isfinite(high):
@@ -143,8 +144,10 @@ def _candidate(state: State, effect: Effect, noise: float) -> ScatterCandidate:
     if number is None:
         return ScatterCandidate(effect, float("inf"), UndetectedBias(0.0))
     part = m.scatter(number)
+    # per unit of the parameters: the columns of a part are scaled by its unit
     left = part.columns.T @ state.seen(part.columns) * part.unit**-2
     eigenvalues = np.linalg.eigvalsh(left)
+    # eigenvalues in units of the noise: the size is sought for a noise of 1 and multiplied with it at the end
     seen = eigenvalues[eigenvalues > _SEEN * eigenvalues[-1]], m.dof, effect.plausible / noise
     size, hidden = (_scatter_found(*seen, beyond) * noise for beyond in (_EIGHTY, _NINETY_FIVE))
     hides = hidden_by_scatter(m.job, m.system, m.scatters[number], hidden if np.isfinite(hidden) else effect.plausible)

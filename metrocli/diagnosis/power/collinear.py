@@ -101,6 +101,7 @@ def _visible_products(state: State, candidates: Sequence[ComparedCandidate], own
     by_family: dict[int, list[int]] = {}
     for at, candidate in enumerate(candidates):
         by_family.setdefault(candidate.family, []).append(at)
+    # as many neighbours as the memory holds together
     for _, some in itertools.groupby(range(len(candidates)), lambda at: own[at].start // together):
         chosen = list(some)
         its = slice(own[chosen[0]].start, own[chosen[-1]].stop)
@@ -131,6 +132,7 @@ def separations(job: AdjustedJob, pairs: Sequence[tuple[Candidate, Candidate]]) 
     """
     advice: list[list[tuple[float, str]]] = [[] for _ in pairs]
     for words, model in job.offers(job.model):
+        # an offer takes a linearisation: pairs with enough advice take no part, and without any the rest is left out
         unsettled = [at for at, its in enumerate(advice) if sum(rho < _COLLINEAR for rho, _ in its) < _OFFERED]
         if not unsettled:
             break

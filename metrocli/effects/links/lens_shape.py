@@ -36,6 +36,7 @@ class Knots:
 
     def places(self) -> Array:
         """Return the image points (counts, 2) [px] of the coefficients of one shift."""
+        # the first spline has its top one space before the border: four reach into each space
         u, v = (
             (np.arange(n) - 1) * (extent - 1) / (n - _REACH + 1)
             for extent, n in zip(self.image_size, self.counts, strict=True)
@@ -87,6 +88,7 @@ def _along(extent: int, count: int, x: Array, slope: bool) -> tuple[Index, Array
     first = np.minimum(t.astype(np.intp), spaces - 1)
     f = t - first
     if slope:
+        # beyond the border the shift is that at the border
         inside = np.where((x > 0) & (x < extent - 1), spaces / (extent - 1) / 2, 0.0)
         weights = [-((1 - f) ** 2), 3 * f * f - 4 * f, -3 * f * f + 2 * f + 1, f * f]
         return first[:, None] + np.arange(_REACH), np.stack(weights, axis=1) * inside[:, None]

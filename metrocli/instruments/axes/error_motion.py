@@ -35,6 +35,7 @@ class Undisturbed:
 
     def step(self, value: Array, local: LinkContext) -> Step:
         """Return zeros."""
+        # one column stands for all readings, and by its width `is_disturbed` sees that no effect acts
         return Step(np.zeros((ROWS * len(self.machine.axes), 1)))
 
 
@@ -119,6 +120,7 @@ def by_squareness(position: Array, values: Array) -> tuple[Array, dict[str, Arra
     """Return the motion (6, n) that squareness (3,) gives at positions (3, n), and its derivatives, (6, 3, n)."""
     _, y, z = position
     by_value = np.zeros((6, 3, position.shape[1]))
+    # q of the module: `-C0Y y + B0Z z` along x, `-A0Z z` along y, with the columns in the order A0Z, B0Z, C0Y
     by_value[0, 1], by_value[0, 2], by_value[1, 0] = z, -y, -z
     return np.einsum("abn,b->an", by_value, values), {SQUARENESS: by_value}
 
@@ -130,6 +132,7 @@ def by_errors(lever: Array) -> Array:
     """
     change = np.zeros((6, 6, lever.shape[1]))
     change[np.arange(6), np.arange(6)] = 1.0
+    # `theta x L = -[L]x theta`
     change[:3, 3:] = -_turning(lever)
     return change
 

@@ -50,6 +50,7 @@ def slide(axis: int, position: Array, errors: Array, squareness: Array) -> Joint
     """
     n = len(position)
     (ca, cb, cc), (sa, sb, sc) = np.cos(squareness), np.sin(squareness)
+    # x is the reference of squareness: its line defines the axis, y leans by C0Y only
     along = np.array([[1, 0, 0], [-sc, cc, 0], [sb, -sa * cb, ca * cb]])[axis]
     by_squareness = np.zeros((3, 3, 3))
     by_squareness[1, :, 2] = [-cc, -sc, 0]
@@ -59,6 +60,7 @@ def slide(axis: int, position: Array, errors: Array, squareness: Array) -> Joint
     turns, shifts = np.zeros((3, 12, n)), np.zeros((3, 12, n))
     turns[:, 3:6] = about
     shifts[:, :3] = _EYE[:, :, None]
+    # the turn is about the shifted point and not about the origin: `a x (M x + t) + v` with `v = -a x t`
     shifts[:, 3:6] = -crossed(turns[:, 3:6], shift[:, None])
     shifts[:, 9:] = by_squareness[axis][:, :, None] * position
     return JointMotion(np.broadcast_to(rotation, (3, 3, n)), shift, turns, shifts)
@@ -79,6 +81,7 @@ def turn(axis: int, angle: Array, errors: Array, location: Array, place: tuple[A
     tilt[across] = location[2:4, None]
     frame, tilting = (np.broadcast_to(part, (3, 3, n)) for part in turned(tilt))
     spun, (own, about) = about_axis(axis, angle + location[4]), turned(errors[3:6])
+    # errors are in axes that stand with the bed: on the tool's side of a table, on the workpiece's side of a head
     outer, inner = (own, spun) if head else (spun, own)
     around = frame if head else through(frame, spun)
     rotation = through(through(frame, through(outer, inner)), np.swapaxes(frame, 0, 1))
@@ -88,6 +91,7 @@ def turn(axis: int, angle: Array, errors: Array, location: Array, place: tuple[A
     shifts[:, :3] = around
     turns[:, 3:6] = through(around, np.broadcast_to(about, (3, 3, n)))
     shifts[:, 3:6] = -crossed(turns[:, 3:6], end)
+    # a shift of the line moves it there and back: `s - M s`
     shifts[:, 6:9] = _EYE[:, :, None] - rotation
     shifts[:, 9:11] = shifts[:, 6:9][:, across]
     tilts = tilting[:, across]

@@ -57,9 +57,11 @@ def _carried(motions: Sequence[JointMotion], path: _Path, point: Array) -> _Carr
         motion = motions[axis]
         point, change = motion.back(point) if back else motion.of(point)
         own = np.swapaxes(motion.rotation, 0, 1) if back else motion.rotation
+        # the inverse of a motion turns by `-M' a`
         passed.append((axis, change, own, -through(own, motion.turns) if back else motion.turns))
     rotation = np.broadcast_to(np.eye(3)[:, :, None], (3, 3, point.shape[1]))
     changes, turns = {}, {}
+    # backwards: what a joint changes is carried by the joints that follow it towards the beginning
     for axis, change, own, turning in reversed(passed):
         changes[axis], turns[axis] = through(rotation, change), through(rotation, turning)
         rotation = through(rotation, own)
@@ -153,6 +155,7 @@ class FromBed(_OfMachine):
             path = [(axis, True) for axis in reversed(_left(self.machine))]
             of_workpiece = _carried(motions, path, target).times(given[OF_WORKPIECE])
             point = point + of_workpiece.point
+            # axes are either left or right of the bed, so that no change of the tool is overwritten
             changes |= of_workpiece.changes
             by_block[ON_WORKPIECE] = of_workpiece.rotation
         if not changes:
@@ -191,6 +194,7 @@ class TipMotion(_OfMachine):
         carried = _carried(self.motions(value, local), [(axis, False) for axis in self.machine.order], tip)
         position = np.stack([local.observations.conditions[axis.coordinate] for axis in self.machine.axes])
         nominal, axes = nominal_tip(self.machine, position, self.machine.tools[local.index(TOOL)].T)
+        # the actual axes of the tool against the nominal ones, so that errors alone are left
         turn = through(through(carried.rotation, by_tool), np.swapaxes(axes, 0, 1))
         angles = vector_from_rotation(np.moveaxis(turn, -1, 0)).T
         changes = {axis: np.concatenate([one, carried.turns[axis]]) for axis, one in carried.changes.items()}
@@ -257,6 +261,7 @@ def axes_of(machine: Machine, position: Array, body: str) -> Array:
     if body == "bed":
         return np.broadcast_to(np.eye(3)[:, :, None], (3, 3, n))
     directions = [np.repeat(np.eye(3)[:, k : k + 1], n, axis=1) for k in range(3)]
+    # points minus the origin are directions: shifts of the joints fall out
     origin = seen_from_bed(machine, position, np.zeros((3, n)), body == "tool")
     return np.stack(
         [seen_from_bed(machine, position, direction, body == "tool") - origin for direction in directions], axis=1

@@ -125,6 +125,7 @@ class RotaryAxis(Axis):
     def places(self, position: Array) -> tuple[Index, Array]:
         """Return the two knots on which errors depend at each position, (2, n), and their weights, (2, 1, n)."""
         lower, share = bracket(self.knots, self.wrapped(position))
+        # the last knot of a periodic axis is the first again, so its number wraps
         return np.stack([lower, lower + 1]) % len(self.members), np.stack([1 - share, share])[:, None, :]
 
     def nearest(self, position: Array) -> Array:
@@ -171,6 +172,7 @@ class RotaryAxis(Axis):
         j, k = (i + 1) % 3, (i + 2) % 3
         cos, sin = np.cos(self.sense * self.members), np.sin(self.sense * self.members) * (-1.0 if self.head else 1.0)
         ones, none, angles = np.ones(n), np.zeros(n), []
+        # shift 0 are displacements, 3 are angles: both have the same four directions across the axis
         for shift in (0, 3):
             for first, second in ((ones, none), (none, ones), (cos, -sin), (sin, cos)):
                 angles.append(np.zeros((n, 6)))
@@ -186,6 +188,7 @@ class RotaryAxis(Axis):
 
     def in_gauge(self, block: Block) -> Block:
         """Return the block of the tables without the directions that are no errors of the motion (`conditions`)."""
+        # the ten directions are not orthogonal where knots are uneven, so each alone would leave a part of another
         basis, _ = np.linalg.qr(self.conditions(block.free).reshape(-1, block.values.size).T)
         flat = block.values.ravel()
         return block.with_values((flat - basis @ (basis.T @ flat)).reshape(block.values.shape))
@@ -220,6 +223,7 @@ def gauge(machine: Machine, blocks: Mapping[str, Block]) -> tuple[Group, ...]:
             block = blocks[axis.block]
             weights = axis.conditions(block.free)
             if len(weights):
+                # rad in place of mm: 1e-9 rad at a metre is what 1e-6 mm is
                 scale = np.where((np.abs(weights[:, :, 3:]) > 0).any(axis=(1, 2)), 1e-3 * _HELD, _HELD)
                 index = {axis.block: np.arange(len(block.members))[:, None]}
                 held = Observations(np.zeros((len(weights), 1)), scale[:, None], index)

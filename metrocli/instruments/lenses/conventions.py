@@ -39,6 +39,7 @@ def converted(values: Mapping[str, float], convention: str, image_size: Sequence
     u, v = image_grid(image_size)
     mx, my = plane_point(values, u, v)
     names = (*RADIAL, "p1", "p2")
+    # both ways one map is wanted as a polynomial: its arguments come from the lens, its values are known
     if convention == "forward":
         ideal_x, ideal_y = undistort(mx, my, values)
         from_x, from_y, to_x, to_y = mx, my, ideal_x, ideal_y
@@ -49,6 +50,7 @@ def converted(values: Mapping[str, float], convention: str, image_size: Sequence
     terms = distort(from_x[good], from_y[good], {}, names).terms
     matrix = np.concatenate([np.stack([np.asarray(terms[name][axis]) for name in names], axis=1) for axis in (0, 1)])
     right = np.concatenate([(to_x - from_x)[good], (to_y - from_y)[good]])
+    # r^2 to r^7 have columns of very different size
     scale = np.linalg.norm(matrix, axis=0)
     coefficients = np.linalg.lstsq(matrix / scale, right, rcond=None)[0] / scale
     gap = (matrix @ coefficients - right).reshape(2, -1) * np.array(focal(values))[:, None]
@@ -109,6 +111,7 @@ def _photo(values: Mapping[str, float], pixel: float, image_size: Sequence[int],
     fx, fy = focal(values)
     f = fy * pixel
     k = [values.get(name, 0.0) for name in RADIAL]
+    # c depends on itself through R0; the iteration contracts, since distortion is a small part of c
     c = f
     for _ in range(50):
         q = (r0 / c) ** 2
@@ -132,6 +135,7 @@ def projection_range(values: Mapping[str, float], image_size: Sequence[int], fis
         [[0, 0], [image_size[0] - 1, 0], [0, image_size[1] - 1], [image_size[0] - 1, image_size[1] - 1]], dtype=float
     )
     reach = float(np.hypot((corners[:, 0] - values["cx"]) / fx, (corners[:, 1] - values["cy"]) / fy).max())
+    # far beyond the image: a strong barrel images points of several times the radius of a corner into it
     x = np.linspace(0, np.pi if fisheye else 10 * reach, 20001)
     radial = {name: values.get(name, 0.0) for name in (*RADIAL, "k4", "k5", "k6")}
     d = distort(x, np.zeros_like(x), radial, (), fisheye)

@@ -51,6 +51,7 @@ def distort(
     top = 1 + r2 * (g["k1"] + r2 * (g["k2"] + r2 * (g["k3"] + last)))
     top_by = g["k1"] + r2 * (2 * g["k2"] + r2 * (3 * g["k3"] + last_by))
     radial, radial_by, below = top, top_by, None
+    # the denominator is left out where it is 1: most lenses have no rational terms, and the division costs
     if not fisheye and any(name in wanted or np.any(k.get(name, False)) for name in RATIONAL):
         bottom = 1 + r2 * (g["k4"] + r2 * (g["k5"] + r2 * g["k6"]))
         below = 1 / bottom
@@ -131,6 +132,7 @@ def undistort(
 ) -> tuple[Array, Array]:
     """Return the points whose distorted images are (x, y), by Newton's method; nan if the model has no inverse."""
     first = distort(x, y, k, (), fisheye)
+    # the ratio at the given point, once: the distortion there is nearly that at the point sought
     px, py = x / _plain(first.x, x), y / _plain(first.y, y)
     # a point that is the image of none runs away until its numbers overflow
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
@@ -143,6 +145,7 @@ def undistort(
             if np.nanmax(np.abs(ex) + np.abs(ey), initial=0.0) < 1e-15:
                 break
         left = distort(px, py, k, (), fisheye)
+        # a positive determinant too: beyond a fold Newton finds a point of the wrong branch with a residual of 0
         good = (np.abs(left.x - x) + np.abs(left.y - y) < 1e-9) & (
             left.by_x[0] * left.by_y[1] - left.by_x[1] * left.by_y[0] > 0
         )

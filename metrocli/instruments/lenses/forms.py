@@ -42,6 +42,7 @@ class LensForm:
     def holds(self, lens: Mapping[str, float], convention: str) -> bool:
         """Return whether the lens is exactly one of this model."""
         fx, fy = focal(lens)
+        # a coefficient of 0 is no obstacle: the form images the same
         rest = (name for name, value in lens.items() if value and name not in ("f", "fx", "fy", "aspect"))
         same = convention == ("fisheye" if self.fisheye else "forward")
         return same and (fx == fy or "fx" in self.terms) and all(name in self.terms for name in rest)
@@ -143,6 +144,7 @@ def nearest_to(seen: Array, uv: Array, form: LensForm, start: Mapping[str, float
         return None
 
     def gaps(values: Array) -> Array:
+        # a huge gap and not nan: least_squares stops at nan, and so steps back instead
         gap: Array = np.nan_to_num((step(values).value - uv).ravel(), nan=1e9)
         return gap
 

@@ -107,8 +107,10 @@ def equidistant(point: Array) -> Projected:
     rho, length2 = np.sqrt(rho2), rho2 + z * z
     length2 = np.where(length2 > 0, length2, np.nan)
     near = rho < _NEAR_AXIS * z
+    # nan straight behind the camera, where a point has no direction from the axis
     safe = np.where(near, 1.0, np.where(rho > 0, rho, np.nan))
     t2 = np.where(near, rho2, 0.0) / np.where(near, z * z, 1.0)
+    # atan(t)/t: the closed form is 0/0 on the axis, and its `bend` loses all digits near it
     series = (1 - t2 * (1 / 3 - t2 * (1 / 5 - t2 * (1 / 7 - t2 / 9)))) / np.where(near, z, 1.0)
     scale = np.where(near, series, np.arctan2(rho, z) / safe)
     bent = -(2 / 3 - t2 * (4 / 5 - t2 * (6 / 7 - t2 * (8 / 9 - t2 * 10 / 11)))) / np.where(near, z, 1.0) ** 3
@@ -119,6 +121,7 @@ def equidistant(point: Array) -> Projected:
 def _parameters(local: LinkContext, name: str) -> dict[str, Any]:
     """Return the lens parameters by name: numbers, or arrays (n,) if readings belong to different lenses."""
     rows = local.rows(name)
+    # numbers where all readings have one lens: arithmetic with them costs less than with arrays of length 1
     values = rows[:, 0].tolist() if rows.shape[1] == 1 else rows
     return dict(zip(local.blocks[name].columns, values, strict=True))
 
@@ -223,6 +226,7 @@ class LensBackward(OfBlock):
                 by_lens[0, place] = -fx * (gap[0] + skew * gap[1]) - scale[0] * (gap_x + skew * gap_y)
                 by_lens[1, place] = -fy * gap[1] - scale[1] * gap_y
                 if name == "skew":
+                    # skew enters twice: in the measured point, and here as the factor on the gap
                     by_lens[0, place] -= fx * gap_y
         return Step(uv, by_point, {self.block: by_lens} if wanted else {})
 

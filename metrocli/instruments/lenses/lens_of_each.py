@@ -25,6 +25,7 @@ class LensOfEach(OfBlock):
 
     def step(self, value: Array, local: LinkContext) -> Step:
         """Return (u, v) [px] (2, n), with derivatives by the point (2, 3, n) and the parameters (2, size, n)."""
+        # not by the member of the lens: an effect may have given each reading its own (docs/decisions/259)
         camera, member, o = local.index(self.by), local.index(self.block), local.observations
         taken: list[int] = np.unique(camera).tolist()
         if len({self.lenses[number] for number in taken}) == 1:
@@ -32,6 +33,7 @@ class LensOfEach(OfBlock):
         n, size = o.count, local.blocks[self.block].size
         uv, by_point, by_lens = np.empty((2, n)), np.zeros((2, 3, n)), np.zeros((2, size, n))
         for lens in dict.fromkeys(self.lenses[number] for number in taken):
+            # by equality: cameras of one convention share their link and are taken together
             mine = np.isin(camera, [number for number in taken if self.lenses[number] == lens])
             own = Observations(o.readings[:, mine], o.sigma[:, mine], {self.block: member[mine]})
             step = lens.step(value[:, mine], LinkContext(local.blocks, own, local.wanted))

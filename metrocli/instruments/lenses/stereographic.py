@@ -59,6 +59,7 @@ class StereographicGrid:
     @property
     def step(self) -> float:
         """Return the distance of neighbouring knots in u."""
+        # the inner columns - 2 knots have columns - 3 steps between them, over 4 tan(field / 4) in u
         return 4 * float(np.tan(np.radians(self.field) / 4)) / (self.columns - 3)
 
     def shift(self, u: Array, shifts: Array) -> Array:
@@ -86,6 +87,7 @@ class StereographicGrid:
     def _along(self, u: Array, count: int, slope: bool) -> tuple[Index, Array]:
         """Return knots (n, 4) and weights (n, 4) along one axis."""
         t = u / self.step + (count - 1) / 2
+        # clipped: beyond the inner knots the outermost cubic goes on, as in mrcal
         second = np.clip(np.floor(t), 1, count - 3).astype(np.intp)
         f = t - second
         weights = [(1 - f) ** 3, 3 * f**3 - 6 * f * f + 4, -3 * f**3 + 3 * f * f + 3 * f + 1, f**3]
@@ -107,6 +109,7 @@ class StereographicGrid:
                 for place, weights in (self._splines(held, axis),)
             )
             whole = xx * yy - xy * yx
+            # a fold of the map has no inverse; nan takes the point out
             whole = np.where(whole > 0, whole, np.nan)
             u = held - np.stack([yy * gap[0] - xy * gap[1], xx * gap[1] - yx * gap[0]]) / whole
         held = np.nan_to_num(u)
@@ -126,6 +129,7 @@ def straightest(basis: Any, counts: tuple[int, int], wanted: Array) -> Array:
     columns, rows = counts
     bends = [csr_array(np.diff(np.eye(count), 2, axis=0)) for count in counts]
     across, down = kron(eye_array(rows), bends[0]), kron(bends[1], eye_array(columns))
+    # per point and per knot, so that the weight does not depend on how many of either there are
     straight = _STRAIGHT * basis.shape[0] / basis.shape[1] * (across.T @ across + down.T @ down)
     return np.asarray(spsolve((basis.T @ basis + straight).tocsc(), basis.T @ wanted.T))
 

@@ -95,6 +95,7 @@ class DaskExecutor:
         batches = [self._packed[at : at + size] for at in range(0, len(self._packed), size)]
         self._packed = []
         with ends_in_words(self._address, "finished results are kept, "):
+            # not pure: Dask would give a job that is submitted again the result of before
             self._running |= {self._client.submit(carry_out, batch, self._versions, pure=False) for batch in batches}
             if not self._done:
                 self._take(first_finished(self._client, self._running))

@@ -122,6 +122,7 @@ class Processes:
                 lost.append(begun)
             else:
                 yield begun.name, _outcome(future_done)
+        # one process for each: a job that ends its process again is then known, and takes no other with it
         if lost:
             self.end()
             for begun in lost:
@@ -164,6 +165,7 @@ def processes(count: int) -> Iterator[Processes]:
 
 
 def _new_pool(count: int) -> ProcessPoolExecutor:
+    # spawned: a fork takes over locks that other threads of the run hold, and nobody lets go of them
     return ProcessPoolExecutor(count, get_context("spawn"), _prepare, (dict(tasks.KINDS),))
 
 
@@ -179,6 +181,7 @@ def _end_with_parent() -> None:
     parent = parent_process()
     if parent is not None:
         parent.join()
+        # not `sys.exit`, which ends a thread only
         os._exit(MetrocliError.exit_code)
 
 

@@ -37,6 +37,7 @@ def locked(project_file: Path, wait: bool) -> Iterator[None]:
     try:
         while True:
             try:
+                # the system lets go of it when the process ends, however it does: a kill leaves nothing to unlock
                 fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
                 break
             except BlockingIOError as error:
@@ -48,6 +49,7 @@ def locked(project_file: Path, wait: bool) -> Iterator[None]:
                 break
         yield
     finally:
+        # closing it unlocks it
         os.close(handle)
 
 

@@ -78,9 +78,11 @@ def open_by_given(readings: NetworkReadings) -> list[str]:
     """Return the motions that given points, verticals and lengths leave open."""
     points = readings.points
     used = np.isfinite(points.sigma) & seen_points(readings)[:, None]
+    # levelled height differences show the direction of the vertical: tilts are no motions then
     needed = [i for i in _not_determined(readings) if i not in (3, 4) or readings.heights is None]
     place = np.nan_to_num(points.listed)
     centred = place - place[used.any(axis=1)].mean(axis=0) if used.any() else place
+    # about their middle and of size 1: shifts and turns are then alike in size
     centred /= float(np.abs(centred[used.any(axis=1)]).max(initial=0.0)) or 1.0
     moves = of_points(scale=True).at(centred, np.arange(points.count))[used][:, needed]
     if not len(moves):

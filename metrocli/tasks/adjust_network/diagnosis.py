@@ -96,6 +96,7 @@ def _folds(group: Group) -> Index:
     if group.name.startswith(GIVEN_POINTS):
         return np.full(group.observations.count, -1, dtype=np.intp)
     index = group.observations.index[t.POINT]
+    # other readings go row by row: those of one point may be its only ones
     own = index if index.ndim == 1 else index[0]
     return np.asarray(own if is_sighting(group) else np.arange(len(own)), dtype=np.intp) % FOLDS
 

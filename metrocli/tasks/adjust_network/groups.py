@@ -54,6 +54,7 @@ def sightings(readings: NetworkReadings, blocks: Mapping[str, Block], bend: floa
     for name in numbers:
         rows = rows_of_kind(kinds, name)
         member[rows] = np.arange(len(rows))
+    # kind of station and kind of target in one number
     code = 2 * np.array([numbers.get(kind, 0) for kind in kinds])[seen.station] + seen.raised
     codes = np.unique(code).tolist()
     whole = _observations(readings)
@@ -114,6 +115,7 @@ def _observations(readings: NetworkReadings) -> Observations:
     conditions |= _begun(conditions, seen.station)
     if seen.raised.any():
         conditions[s.TARGET_HEIGHT] = seen.height
+    # point, station, face and round in one number: only the time distinguishes readings that share all four
     pair = seen.point * len(stations.names) + seen.station
     pair = pair * 2 + (seen.face < 0)
     keys = distinguished(keys, pair * len(seen.rounds) + seen.orientation, conditions.get("t"))
@@ -216,6 +218,7 @@ def given(readings: NetworkReadings, blocks: Mapping[str, Block]) -> Iterator[Gr
             joint = points.covariance[np.ix_(free, free)]
             group = joint_prior([(listed, member[free], column[free])], joint)
             yield _of_list(replace(group, name=GIVEN_POINTS), np.unique(member[free]), block)
+        # not a second time axis by axis
         sigma[member, column] = np.nan
     for axis in range(3):
         rows = np.flatnonzero(block.free[:, axis] & (sigma[:, axis] > 0))

@@ -51,6 +51,7 @@ def _sigma(which: int, seen: Array, parts: Sequence[Array]) -> Array:
     azimuth, elevation, lateral, centring, constant, proportional = parts
     distance, across = seen[DISTANCE], lateral**2 + centring**2
     if which == AZIMUTH:
+        # an azimuth scatters by the offset across over the level distance: near the vertical it has no direction left
         level = distance * np.maximum(np.cos(seen[ELEVATION]), _LEAST)
         return np.asarray(np.sqrt(azimuth**2 + across / level**2))
     if which == ELEVATION:
@@ -66,6 +67,7 @@ def component(group: Group) -> int:
 def of_lengths(group: Group, blocks: Mapping[str, Block]) -> Array:
     """Return the standard deviations of lengths of interferometers, (1, n)."""
     observations = group.observations
+    # the noise grows with the path, of which a relative length lacks the dead path
     path = observations.readings[0] + blocks[t.TRACER].values[observations.index[t.TRACER], 3]
     given = observations.conditions
     constant, proportional = given["noise constant"], given["noise proportional"]

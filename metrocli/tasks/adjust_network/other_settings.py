@@ -138,6 +138,7 @@ def _faces(job: Job[Settings, Files], readings: NetworkReadings) -> Iterator[_Ot
     """
     seen, table = readings.sightings, job.files.sightings
     azimuth = next((name for name in ("az", "hz") if name in table), "")
+    # the rows of a point in a round follow each other, in the order of the file
     order = np.lexsort((np.arange(len(seen.point)), seen.point, seen.orientation))
     same = (np.diff(seen.point[order]) == 0) & (np.diff(seen.orientation[order]) == 0)
     first, second = order[:-1][same], order[1:][same]
@@ -161,6 +162,7 @@ def _stations(job: Job[Settings, Files], readings: NetworkReadings) -> Iterator[
     stations, table = readings.stations, job.files.stations
     if (stations.over >= 0).sum() < 2:
         return
+    # placed by sightings alone: over its mark a station could be nowhere else
     free = replace(readings, stations=replace(stations, over=np.full_like(stations.over, -1)))
     rough = _started(free)
     if rough is None:

@@ -98,6 +98,7 @@ def solve(settings: Settings, network: Network, remove: bool) -> AdjustedNetwork
         if not remove or not solved.suspects:
             return used, False
         most = max(suspect.test for suspect in solved.suspects)
+        # smaller ones may be no more than what larger ones do to the fit: they are tested again without these
         worst = tuple(suspect for suspect in solved.suspects if suspect.test >= most / 2)
         return _Used(_without(solved.network, solved.solution.blocks, worst), (*used.out, *worst)), True
 
@@ -174,6 +175,7 @@ def _anchored(network: Network, solution: Solution) -> tuple[Network, Solution]:
         return network, solution
     move = _to_origin(network, solution)
     blocks = {name: _moved(block, move) for name, block in solution.blocks.items()}
+    # the conditions are about the moved places: about the old ones they would move the network back
     datum = replace(network.datum, reference=blocks[t.POINT].values)
     there = network.with_model(replace(network.model, blocks=blocks, groups=solution.groups, datum=datum))
     return there, _weighted(there)
@@ -184,6 +186,7 @@ def _to_origin(network: Network, solution: Solution) -> Array:
     name = network.readings.stations.names[network.first]
     blocks = solution.blocks
     if s.STATION in blocks and name in blocks[s.STATION].members:
+        # a turn would tilt the verticals of the levelled stations
         level = any(kind in blocks for kind in (s.LEVELLED, s.OVER))
         pose = blocks[s.STATION].row(name)
         if not level:
@@ -196,6 +199,7 @@ def _to_origin(network: Network, solution: Solution) -> Array:
     else:
         place = blocks[t.POINT].values[network.readings.stations.over[network.first]]
     round_ = next(i for i, (station, _) in enumerate(network.readings.sightings.rounds) if station == network.first)
+    # a listed orientation has fixed the turn of the network already
     known = np.isfinite(network.readings.stations.gamma).any()
     gamma = 0.0 if known else float(blocks[s.ORIENTATION].values[round_, 0])
     return poses.inverse(np.array([*place, 0.0, 0.0, gamma]))
@@ -209,6 +213,7 @@ def _moved(block: Block, move: Array) -> Block:
     elif block.name == s.STATION:
         values = poses.compose(move, values)
     elif block.name == s.ORIENTATION:
+        # listed orientations are fixed, and the network does not turn against them
         values = values + move[5] * block.free
     return block.with_values(values)
 
@@ -232,6 +237,7 @@ def _must_be_checked(network: Network) -> None:
     for number in np.unique(lengths.first):
         own = np.unique(lengths.second[lengths.first == number])
         absolute = network.readings.of(int(number)).measures == "absolute"
+        # one more than the unknowns of its place, to which a dead path adds one: a length without a check could be any
         need, name = (4 if absolute else 5), network.readings.stations.names[number]
         if len(own) < need:
             lines.append(f"  {name} reads {len(own)} points; an interferometer needs {need}")
@@ -239,6 +245,7 @@ def _must_be_checked(network: Network) -> None:
         places = network.blocks[t.POINT].values[own]
         member = network.blocks[t.TRACER].members.index(name)
         places = np.concatenate([places, network.blocks[t.TRACER].values[None, member, :3]])
+        # to first order no length shows a shift across that plane
         spread = np.linalg.svd(places - places.mean(axis=0), compute_uv=False)
         if np.isfinite(places).all() and spread[2] < 1e-4 * spread[0]:
             lines.append(

@@ -27,6 +27,7 @@ class SuspectedReading:
 
 def suspected(of_groups: Mapping[str, Residuals], solution: Solution) -> Iterator[SuspectedReading]:
     """Yield the wrong readings, the worst first; all groups are tested together."""
+    # given coordinates are no readings that could be left out: they may hold the frame
     of_groups = {name: residuals for name, residuals in of_groups.items() if not name.startswith(GIVEN_POINTS)}
     names = [name for name, residuals in of_groups.items() for _ in range(residuals.values.shape[1])]
     rows = np.concatenate([np.arange(residuals.values.shape[1]) for residuals in of_groups.values()])

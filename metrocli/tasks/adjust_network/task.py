@@ -43,6 +43,7 @@ def run(job: Job[Settings, Files]) -> Result:
 def check(job: Job[Settings, Files]) -> None:
     """Raise InputError that lists the faults in the combination of files and in the effects, without computing."""
     readings = read(job.settings, job.files)
+    # any place will do: no fault of the files depends on it
     points = np.where(np.isfinite(readings.points.listed), readings.points.listed, 1.0)
     rough = NetworkStart(points, np.zeros((len(readings.stations.names), 6)), np.zeros(len(readings.sightings.rounds)))
     with all_faults() as each, each():

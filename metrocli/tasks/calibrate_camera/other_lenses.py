@@ -120,6 +120,7 @@ def _is_fisheye(problem: CameraProblem, settings: CameraSettings, noise: float |
     else:
         known = np.sqrt(2) * noise
     best = root_mean_square(residuals)
+    # a limit in pixels on what a pinhole leaves named one of eleven fisheyes: the noise decides (docs/decisions/260)
     return bool(best <= min(_FITS * known, left / _FITS) or (isinstance(noise, str) and best < _BETTER * left))
 
 

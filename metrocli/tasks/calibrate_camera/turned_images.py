@@ -40,19 +40,23 @@ def turned_images(problem: CameraProblem, adjusted: AdjustedImages) -> list[str]
     group, (w, h) = adjusted.group, problem.image_size
     observations = group.observations
     there, readings = few[observations.index[camera.VIEW]], observations.readings
+    # W - 1 - u: pixel centres are whole numbers, and the first is 0
     flipped = np.where(there, np.array([[w - 1.0], [h - 1.0]]) - readings, readings)
     back = group.with_observations(observations.with_readings(flipped))
     blocks = dict(adjusted.solution.blocks)
     views = blocks[camera.VIEW]
     blocks[camera.VIEW] = views.with_values(np.where(few[:, None], _rolled(views.values, problem.rig), views.values))
+    # the lens that both halves share is wrong for each: only poses may move before it is freed
     begun = [block.fixed() if name != camera.VIEW else block for name, block in blocks.items()]
     begun = list(adjust(begun, [back], None, StoppingRule(limit=30, covariance=False)).blocks.values())
     freed = [replace(block, free=blocks[block.name].free) for block in begun]
     other = adjust(freed, [back, *problem.others], problem.datum, StoppingRule(covariance=False))
     solution = adjusted.solution
+    # measured by the better fit: turned images make the noise of their own fit large
     variance = max(other.cost / max(solution.dof, 1), 1e-12)
     if not np.isfinite(other.cost) or (solution.cost - other.cost) / variance < _GAIN:
         return []
+    # a camera that still does not fit has another fault, which turning may happen to hide a little of
     if variance > _FITS and solution.cost < _MUCH * other.cost:
         return []
     names = [name for name, turned in zip(problem.sighted.images, few, strict=True) if turned]
@@ -92,8 +96,10 @@ def _on_the_other_side(problem: CameraProblem, adjusted: AdjustedImages, at: lis
         both = np.linalg.lstsq(pose, np.column_stack([own, residual]), rcond=None)[0]
         left = np.column_stack([own, residual]) - pose @ both
         weight[i] = left[:, :2].T @ left[:, :2]
+        # its own principal point, what its pose takes up left out: a shift of the point is nearly a turn of the camera
         offset[i] = held + np.linalg.lstsq(left[:, :2], left[:, 2], rcond=None)[0]
     scale = solution.cost / max(solution.dof, 1)
+    # one direction through the middle separates the two halves: the one along which the points lie farthest apart
     along = np.linalg.eigh(_spread(offset, weight))[1][:, -1]
     position, information = offset @ along, np.einsum("a,iab,b->i", along, weight, along) / scale
     side = position > 0

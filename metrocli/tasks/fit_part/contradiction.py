@@ -114,6 +114,7 @@ def contradiction(stock: Stock, duals: Array, minimum: float, into: Array, begun
         rest = [other for other in chosen if other != number]
         if rest and not together(rest):
             chosen = rest
+    # the filter leaves a set of which each surface is needed, which need not be the smallest
     smaller = (some for size in range(1, len(chosen)) for some in combinations(holding, size))
     chosen = next((list(some) for some in smaller if not together(some)), chosen)
     # the search is local, and may get round on a mesh where it goes on beyond the minimum
@@ -143,6 +144,7 @@ def refuse(
     first, *further = contradictions
     together = in_a_row(first.surfaces)
     points = ", ".join(names[row] for row in first.points[:8])
+    # rounded down: what is offered has to be possible
     possible = np.floor(whole * 100) / 100
     what = (
         f"`minimum: {possible:.2f} mm` would do for all surfaces"
@@ -214,6 +216,7 @@ def must_be_determined(stock: Stock, into: Array, aim: str) -> tuple[str, ...]:
             f"  undetermined, since no overstock changes: {in_a_row(motions)}\n"
             "  what would determine it: points on a surface across that motion, or `aim: least-motion`"
         )
+    # of the differences to the mean: motions that change all overstocks alike
     alike = _null_space(smooth - smooth.mean(axis=0), local.rows - local.rows.mean(axis=0))
     if alike and aim != LEAST_MOTION:
         raise UndeterminedError(
@@ -245,6 +248,7 @@ def _null_space(smooth: Array, rows: Array) -> list[Array]:
     eigenvalues, vectors = np.linalg.eigh(smooth.T @ smooth)
     with_facets = ((rows @ vectors) ** 2).sum(axis=0)
     steps = vectors[:, eigenvalues < np.maximum(_OPEN**2 * eigenvalues[-1], _OF_FACETS**2 * with_facets)]
+    # turned so that as many steps as can be have no turn: a mixture of turns and shifts would be no words
     _, _, mix = np.linalg.svd(steps[3:], full_matrices=True)
     steps = (steps @ mix.T).T
     turned = ~_is_shift(steps)
@@ -254,6 +258,7 @@ def _null_space(smooth: Array, rows: Array) -> list[Array]:
 
 def _along_axes(directions: Array) -> Array:
     """Return the mixture (k, k) of directions (k, 3), k independent ones, that runs along axes where it can."""
+    # the pivots take those axes first that lie most in the directions
     back = np.linalg.pinv(directions)
     along, _, _ = pivoted_qr(back @ directions)
     return np.asarray(along.T[: len(directions)] @ back)
@@ -270,6 +275,7 @@ def motion_in_words(local: LinearStock, step: Array) -> str:
     if _is_shift(step):
         return f"a shift along {_direction(step[:3])}"
     axis = turn / np.linalg.norm(turn)
+    # where `u + turn x (p - c)` is along the axis alone
     through = local.centre + np.cross(turn, step[:3]) / (turn @ turn)
     place = ", ".join(f"{value:.0f}" for value in through.round() + 0.0)
     return f"a turn about the direction {_direction(axis)} through ({place}) mm"

@@ -80,6 +80,7 @@ def sensitivity_of_draws(fit: PoseFit, aim: PoseCriterion, start: Array, places:
         by_gradient -= of_gradient / DRAWS
         by_overstock[active] -= of_bounds.T / DRAWS
         by_overstock += level[:, None] * of_bounds.sum(axis=1) / DRAWS
+    # what follows the errors of no point in proportion: other points hold the part in some draws
     rest = steps - errors @ by_overstock - gradients @ by_gradient.T
     by_point = by_gradient @ programme.by_point + by_overstock[:, :, None] * outward[:, None, :]
     own = np.einsum("nia,nab,njb->ij", by_point, places.own, by_point, optimize=True) + rest.T @ rest / DRAWS
@@ -99,6 +100,7 @@ def _programme(fit: PoseFit, aim: PoseCriterion, start: Array, outward: Array) -
     hessian, penalty = convex(objective, local, fit.duals)
     held = penalty * rows * (fit.duals > 0)[:, None]
     by_point = gradient_by_point(fit, aim, start) + held[:, :, None] * outward[:, None, :]
+    # the penalty is about the minimum, not about the fit: so errors of the points that hold it move its gradient
     return _Programme(hessian, objective.gradient - (aim.minimum - local.overstock) @ held, by_point)
 
 
@@ -129,6 +131,7 @@ def _response(hessian: Array, rows: Array, optimum: Optimum) -> tuple[Array, Ind
     active = np.flatnonzero(optimum.duals > 0)
     held = rows[active]
     system = np.block([[hessian, -held.T], [held, np.zeros((len(active), len(active)))]])
+    # more points can hold a pose than it has degrees of freedom: then it is singular
     inverse = np.linalg.pinv(system, rcond=1e-13)
     return inverse[:6, :6], active, inverse[:6, 6:]
 
@@ -148,6 +151,7 @@ def drawing(places: PredictedPlaces) -> Callable[[np.random.Generator], Array]:
     alone = np.swapaxes(vectors, 1, 2) @ places.common / np.maximum(size, 1e-300)[:, :, None]
     basis, rest = np.linalg.qr(alone.reshape(3 * n, k))
     shared, turned = np.linalg.eigh(rest @ places.core @ rest.T)
+    # below -1 by rounding only
     gain = np.sqrt(np.maximum(1 + shared, 0.0)) - 1
     along = basis @ turned
 

@@ -115,11 +115,14 @@ def most(
         if least > limit:
             return into, np.inf, duals
         raised, expected = highest(local.rows, local.overstock, reach)
+        # kept even if the step is not taken: they are those of the pose that is returned
         hoped, duals = expected - least, raised.duals
         step = _shortest(local, least + _OF_GAIN * hoped, raised.x)
         tried = local.moved(into, step)
         other = stock.at(tried)
         gain = float(other.overstock.min()) - least
+        # the reach of a trust region: a step is taken from a tenth of what it
+        # promised, and the reach follows its success
         if gain > 0.1 * hoped:
             into, local, least = tried, other, least + gain
             reach = reach * 2 if gain > 0.9 * hoped and np.abs(step).max() > 0.99 * reach else reach
@@ -191,6 +194,7 @@ def fit(stock: Stock, aim: PoseCriterion, into: Array) -> PoseFit:
     duals, objective = np.zeros(len(stock.measured)), aim.objective(local)
     for iteration in range(_ITERATIONS):
         hessian, _ = convex(objective, local, duals)
+        # a point that is below the minimum by rounding may stay: to bring it back is no step of the aim
         short = np.minimum(aim.minimum - local.overstock, 0.0)
         solved = quadratic(hessian, objective.gradient, local.rows, short)
         if solved is None:

@@ -78,6 +78,7 @@ def must_be_of_one_size(mesh: Triangles, points: Array, unit: str) -> None:
     Points may lie on a small part of the mesh, so those of a tenth of its size or so need all three extents alike.
     """
     middle = mesh.corners.mean(axis=1)
+    # by area: a mesh has most of its triangles where it bends
     weight = mesh.areas / mesh.areas.sum()
     of_mesh = float(np.sqrt(weight @ ((middle - weight @ middle) ** 2).sum(axis=1)))
     of_points = float(np.sqrt(((points - points.mean(axis=0)) ** 2).sum(axis=1).mean()))

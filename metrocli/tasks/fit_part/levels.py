@@ -66,6 +66,7 @@ def levels(nominal: Assigning, measured: Array, surface: Index | None, into: Arr
     if len(measured) > 2 * SAMPLE:
         some = np.random.default_rng(1).choice(len(measured), SAMPLE, replace=False)
         sample = levels(nominal, measured[some], None if surface is None else surface[some], into, sigma[some])
+        # the pose of a sample needs one round with all points
         into, level, rounds = sample.into, sample.level, 1
     else:
         level, rounds = np.zeros(count), _ROUNDS
@@ -104,6 +105,7 @@ def robust_step(rows: Array, overstock: Array, surface: Index, count: int) -> tu
         normals = (design * weights[:, None]).T @ design
         step = -np.linalg.pinv(normals, rcond=1e-10, hermitian=True) @ ((design * weights[:, None]).T @ goal)
         rest = goal + design @ step
+        # of points that lie exactly on a plane, 0: weights would be 0 / 0
         scale = max(_SIGMA * float(np.median(np.abs(rest))), 1e-9)
         weights = 1 / (1 + (rest / (3 * scale)) ** 2) ** 2
     return step, rest

@@ -51,6 +51,7 @@ def _some_of_each(surface: Index) -> Index:
     """Return the rows of some points of each surface, drawn at random."""
     order = np.random.default_rng(1).permutation(len(surface))
     order = order[np.argsort(surface[order], kind="stable")]
+    # the number of each point among those of its surface, whose first one the search finds
     place = np.arange(len(order)) - np.searchsorted(surface[order], surface[order])
     return np.sort(order[place < _EACH])
 
@@ -60,6 +61,7 @@ def _of_nearest_level(stock: Stock, patches: Apart, into: Array, level: Array) -
     local = stock.at(into)
     row, patch = patches.beside(local.points, stock.surface, _BESIDE * float(np.abs(local.overstock).max()))
     beside = patches.shape(local.points[row], patch).distance
+    # its own patch first: a stable order keeps a point there where another patch is as near
     row, patch = np.append(np.arange(len(local.points)), row), np.append(stock.surface, patch)
     off = np.abs(np.append(local.overstock, beside) - level[patch])
     order = np.lexsort((off, row))
@@ -219,6 +221,7 @@ class OfPatches:
 
         Patches are reached from that of the point (n,), from neighbour to neighbour within the limit.
         """
+        # a pair of point and patch as one number: sets of pairs are then sets of numbers
         count, seen = len(self.names), np.arange(len(points)) * len(self.names) + surface
         nearby, reached = seen[:0], seen
         while reached.size:
@@ -234,6 +237,7 @@ class OfPatches:
         """Return the pairs of rows and the neighbours of their patches, each as row times the number of patches."""
         first, last = (np.searchsorted(self.neighbours[:, 0], patch, side) for side in ("left", "right"))
         pair = np.repeat(np.arange(len(row)), last - first)
+        # each pair has the run of neighbours from its first to its last, counted on
         place = np.arange(len(pair)) + np.repeat(first - np.cumsum(last - first) + last - first, last - first)
         return np.asarray(row[pair] * len(self.names) + self.neighbours[place, 1])
 

@@ -162,6 +162,7 @@ def fitted_part(
         return aim, fit(stock, aim, into)
     aim = aimed(stock, name, largest - SLACK, into, start)
     even = fit(stock, aim, into)
+    # of a linear programme the gradient is 0: its duals alone have to balance
     held = np.abs(even.local.rows.T @ duals).max()
     return aim, replace(even, duals=duals, optimality=float(held))
 

@@ -82,12 +82,14 @@ def _candidates(
     """Return rotations (B, 3, 3) and shifts (B, 3) to try: the middles of points and part on each other."""
     given = poses.rotation_of(start)
     if named:
+        # four normal numbers have no direction before others: these are evenly spread rotations
         quaternions = rng.normal(size=(_ANYWHERE, 4))
         rotations = np.concatenate([given[None], _rotations(quaternions)])
     else:
         grid = np.stack(np.meshgrid(*[[-_NEAR, 0.0, _NEAR]] * 3), axis=-1).reshape(-1, 3)
         rotations = rotation_from_vector(grid) @ given
     shifts = _middle_on_middle(nominal, points, rotations)
+    # points on one side of the part have another middle than it has: the given shift is tried as well
     beside = np.broadcast_to(start[:3], shifts.shape)
     return np.concatenate([rotations, rotations]), np.concatenate([shifts, beside])
 
@@ -144,6 +146,7 @@ def _refined(
         step = np.linalg.solve(normals + damping * size, right)[:, :, 0]
         turn = step[:, 3:] / lever[:, :, 0]
         angle = np.linalg.norm(turn, axis=1, keepdims=True)
+        # normals are those of the surface that is near now, and a longer turn leads to others
         turn = turn * np.minimum(1.0, _TURN / np.maximum(angle, 1e-12))
         by = rotation_from_vector(turn)
         middle = centre[:, 0]

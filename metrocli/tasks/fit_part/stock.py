@@ -124,6 +124,7 @@ class Stock:
         """Return the overstock where `into` (6,) brings the measured points into the part frame."""
         points = poses.apply(into, self.measured)
         centre = points.mean(axis=0)
+        # a single point has no arm, and no turn that moves it
         lever = float(np.sqrt(((points - centre) ** 2).sum(axis=1).mean())) or 1.0
         return LinearStock(points, self.nominal.shape(points, self.surface), centre, lever)
 

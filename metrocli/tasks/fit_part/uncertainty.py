@@ -91,6 +91,7 @@ def _system(hessian: Array, active: Array, with_level: bool) -> Array:
     system[:6, 6 + level :] = -active.T
     system[6 + level :, :6] = active
     if with_level:
+        # the least overstock is the seventh unknown: the duals add up to 1, and the points that hold it have just it
         system[6, 7:] = 1.0
         system[7:, 6] = -1.0
     return system

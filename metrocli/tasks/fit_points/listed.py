@@ -19,6 +19,7 @@ from metrocli.tasks.fit_points.settings import COVARIANCES, ESTIMATED
 from metrocli.tasks.shared.lists import refuse, sigmas
 from metrocli.uncertainty.predicted import has_points, points_of
 
+# a standard deviation of 1e-5 for all points cost the covariance 1e-4 of its value, by rounding (docs/decisions/258)
 _SHARE = 1e-6
 """Variance of the readings of a point, relative to the least of the point, or to the mean of a joint covariance"""
 
@@ -73,6 +74,7 @@ class Spread:
             joint = self.joint.copy()
             joint[np.ix_(entries, entries)] = (vectors * np.maximum(values - part, part)) @ vectors.T
             return Spread(self.covariance, joint), np.full(len(known), part)
+        # an exact direction would make the least eigenvalue 0: in its place stands the largest variance of the point
         plain = np.where(known, self.sigma, 0.0).max(axis=1, initial=0.0) ** 2
         both = known[:, :, None] & known[:, None, :]
         least = np.linalg.eigvalsh(np.where(both, self.covariance, plain[:, None, None] * unit))[:, 0]

@@ -90,6 +90,7 @@ def _suspicious(network: TracerNetwork, state: Mapping[str, Block]) -> tuple[Ind
     observations = network.lengths.observations
     miss = network.lengths.residuals(state)[0] / observations.sigma[0]
     typical = float(np.median(np.abs(miss)))
+    # of the sum of squares: below it no single length of a point can be gross
     bound = (_GROSS * max(1.0, _MAD * typical)) ** 2
     squares = np.bincount(observations.index[t.POINT], miss**2, len(network.nominal))
     return np.flatnonzero((squares > bound) & network.unknown), bound, typical
@@ -205,6 +206,7 @@ def brought_back(network: TracerNetwork, state: Mapping[str, Block], gross: Mapp
     rows = network.lengths.observations.index[t.POINT][list(gross)]
     block = state[t.POINT]
     values = block.values.copy()
+    # a wrong length has moved its point to where the others alone would not find back
     values[rows] = network.nominal[rows]
     return {**state, t.POINT: replace(block, values=values)}
 

@@ -132,8 +132,10 @@ def solve(network: TracerNetwork, remove: bool) -> AdjustedTracers:
     start = network.only(_kept(network, out))
     groups = [start.lengths, *start.others]
     if network.effects:
+        # before the start: an absorbed effect could become very large there
         _must_see_effects(start, covariance_at(start.blocks.values(), groups, start.datum))
     state = undisturbed_start(start) if remove else quick_start(start)
+    # of a large network only the adjustment is checked: this costs nearly as much as it does
     if len(network.nominal) <= _SMALL_ENOUGH:
         _must_carry(start, covariance_at(state.values(), groups, start.datum))
     gross = far_off(network, state) if remove else {}
@@ -141,6 +143,7 @@ def solve(network: TracerNetwork, remove: bool) -> AdjustedTracers:
 
     def fewer(used: _KeptLengths, solved: AdjustedTracers) -> tuple[_KeptLengths, bool]:
         state, worst = solved.solution.blocks, _worst(solved) if remove else {}
+        # once, and when nothing else is wrong: else lengths could go and come back for ever
         if used.back and not worst:
             return _KeptLengths(state, _with_reinstated(solved, used.out), False), True
         more = worst or (_doubtful(solved) if used.out else {})
@@ -244,6 +247,7 @@ def _doubtful(solved: AdjustedTracers) -> dict[int, Rejected]:
     from scipy.special import chdtri
 
     point, left = solved.group.observations.index[t.POINT], solved.network.seen
+    # only points that lost some: a test at 5 % of all others would leave out right ones
     lost = (left < solved.whole.seen) & (left > 3) & solved.network.unknown
     sigma = solved.residuals.sigma[0] * noise_of_tests(solved.solution)
     misfit = np.bincount(point, (solved.residuals.values[0] / sigma) ** 2, len(left))

@@ -37,6 +37,7 @@ def scale_warnings(network: TracerNetwork, solution: Solution) -> Iterator[str]:
     scale, block = network.scale, network.blocks[t.TRACER]
     if scale is None or scale.common is not None or len(block.members) < 2 or _scaled(network):
         return
+    # the scale is the fifth column of a tracer
     scales = solution.covariance_or_raise().of(t.TRACER)[4 :: block.size, 4 :: block.size]
     mean = float(np.sqrt(max(scales.mean(), 0.0)))
     if mean < scale.uncertainty:
@@ -81,6 +82,7 @@ def _rows(network: TracerNetwork, extent: float) -> Iterator[Hidden]:
 def _scaled(network: TracerNetwork) -> bool:
     """Return whether known lengths or places determine the scale."""
     known = int((~network.unknown & (network.seen > 0)).sum())
+    # two known places are a length between them
     fixed = int((~network.blocks[t.TRACER].free[:, :3]).all(axis=1).sum())
     bars = any(group.name == DISTANCES for group in network.others)
     held = {

@@ -82,6 +82,7 @@ def _forth_and_back(model: Model) -> Model:
     old = group.observations
     time, view = old.conditions[ELAPSED], old.index[bg.VIEW]
     last = np.array([time[view == n].max(initial=0.0) for n in range(int(view.max()) + 1)])[view]
+    # `t + 2 (last - t)`: mirrored about the last reading of the view
     later = {name: old.conditions[name] + 2 * (last - time) for name in ("t", ELAPSED) if name in old.conditions}
     again = replace(old, conditions={**old.conditions, **later})
     groups = tuple(
@@ -124,6 +125,7 @@ def folds(ball: Index, view: Index) -> Index:
 
     A ball with at most ten readings loses no more than one of them to each part.
     """
+    # 3 and 10 have no common divisor: ten views of one ball are in ten parts
     return np.asarray((7 * ball + 3 * view + ball // FOLDS) % FOLDS)
 
 

@@ -130,11 +130,13 @@ def trilinear(sites: Index, pitch: float, points: Array) -> tuple[Index, Array]:
     """Return the eight sites around each point and their weights, (n, 8) each; sites are -1 for points outside."""
     scaled = points / pitch
     low, high = sites.min(axis=0), sites.max(axis=0)
+    # a point on the upper border belongs to the last cell
     corner = np.clip(np.floor(scaled), low, np.maximum(high - 1, low)).astype(np.intp)
     share = scaled - corner
     steps = np.array(list(product((0, 1), repeat=3)))
     weights = np.where(steps[None] == 1, share[:, None], 1 - share[:, None]).prod(axis=2)
     at = numbers_at(sites, corner[:, None] + steps)
+    # a site that only rounding would give a weight may be missing
     weights[np.abs(weights) < 1e-12] = 0.0
     lost = ((at < 0) & (weights != 0)).any(axis=1) | (weights < 0).any(axis=1)
     return np.where(lost[:, None], -1, np.maximum(at, 0)), weights
@@ -159,6 +161,7 @@ def error_map(points: Table, field: SiteErrors, covariance: Covariance, form: Sm
         raise InputError([points.fault_at(row, f"point '{names[row]}' {text}", box) for row in lost[:20].tolist()])
     value, std = _trilinear_errors((at, weights), field, covariance)
     bend = _bend(field)[np.maximum(at, 0)].max(axis=1) / np.sqrt(3)
+    # at a site itself nothing is interpolated
     inner = (np.abs(weights).max(axis=1) < 1 - 1e-9)[:, None]
     total = np.sqrt(std**2 + np.where(inner, bend, 0.0) ** 2)
     columns = {"point": points.texts("point"), "x y z [mm]": places}
@@ -190,6 +193,7 @@ def _bend(field: SiteErrors) -> Array:
         before, after = numbers_at(sites, sites - axis), numbers_at(sites, sites + axis)
         both = (before >= 0) & (after >= 0)
         second = errors[after[both]] - 2 * errors[both] + errors[before[both]]
+        # of a second difference 1, -2, 1 of independent errors
         noise = variance[after[both]] + 4 * variance[both] + variance[before[both]]
         total[both] += np.sqrt(np.maximum(second**2 - noise, 0.0)) / 8
     return total

@@ -169,6 +169,7 @@ def _exchanged(views: tuple[View, ...], observed: list[Observed | None]) -> list
     """Return the faults of exchanged indices or axes, common to all views, or of mirrored readings in single views."""
     known = [(view, seen) for view, seen in zip(views, observed, strict=True) if seen is not None]
     for names, matrices in (
+        # exchanged indices act before the turn of the view, exchanged axes behind it
         ("ijk", [view.turn.T @ seen.turn for view, seen in known]),
         ("xyz", [view.turn @ seen.turn.T for view, seen in known]),
     ):
@@ -201,6 +202,7 @@ def _otherwise(views: tuple[View, ...], observed: list[Observed | None]) -> list
     """Return the faults of views that stood otherwise than declared: another rotation, shift, or swapped views."""
     known = [(n, seen) for n, seen in enumerate(observed) if seen is not None]
     right = [(n, seen) for n, seen in known if np.array_equal(seen.turn, views[n].turn)]
+    # views that stood turned as declared show the common origin: a wrong one may have been moved as well
     origins = np.array([seen.origin - views[n].shift for n, seen in (right or known)])
     common = np.median(origins, axis=0) if len(origins) else np.zeros(3)
     stood = {n: (seen.turn, np.rint(seen.origin - common)) for n, seen in known}

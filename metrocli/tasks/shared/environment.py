@@ -199,6 +199,7 @@ def _values(environment: Environment, table: Table, name: str) -> Array:
         text = f"environment: the {name} of the air is missing"
         hint = f"give `environment: {{{name}: ...}}` in the job, or a column {_HEADINGS[name]} here"
         raise InputError([table.fault(text, hint)])
+    # a table without rows has a mean of its weather all the same
     return np.full(max(len(table), 1), given)
 
 
@@ -207,6 +208,7 @@ def _first(table: Table, by: str) -> Array:
     _, station = np.unique(np.asarray(table.columns[by]), return_inverse=True)
     order = np.argsort(table.numbers("t"), kind="stable") if "t" in table else np.arange(len(table))
     _, first = np.unique(station[order], return_index=True)
+    # `order` leads from the order of time back to the rows of the file
     return np.asarray(order[first][station])
 
 
@@ -215,6 +217,7 @@ def _relative(environment: Environment, weather: dict[str, float]) -> float:
     light = environment.wavelength
     parts = [light.std / light.value]
     for name, step in _STEPS.items():
+        # numerically: both equations are smooth, and their derivatives are long
         low, high = (float(environment.index(Weather(**{**weather, name: weather[name] + s}))) for s in (-step, step))
         parts.append((high - low) / (2 * step) * getattr(environment, name).std)
     return float(np.linalg.norm(parts))

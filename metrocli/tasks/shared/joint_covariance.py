@@ -32,6 +32,7 @@ def factors(covariance: Covariance, block: str, chosen: Mask) -> dict[str, Array
         core, gauge = covariance.reduced, points.gauge
         if gauge is not None:
             k = gauge.reduced.shape[1]
+            # `-E S' - S E'` as a quadratic form of (E, S), whose core swaps the two
             exchange = -np.kron([[0.0, 1.0], [1.0, 0.0]], np.eye(k))
             core = np.block([[core, np.zeros((len(core), 2 * k))], [np.zeros((2 * k, len(core))), exchange]])
         if 3 * int(chosen.sum()) * len(core) > _LARGEST:
@@ -84,6 +85,7 @@ def owed(
             ]
             factor += np.concatenate(rows) @ touch.jacobian[:, :, 0].T
         scale = np.concatenate([solution.by_step(block).ravel()[at] for block, at in zip(delivered, free, strict=True)])
+        # `between` has the factor sigma0^2, which F F' is to have once
         factors[OWED + name] = change @ (factor * scale[:, None]) / np.sqrt(known.factor)
         names.append(name)
         digests.append(_digest(group))

@@ -35,6 +35,7 @@ def _azimuth(value: Array, local: LinkContext) -> Step:
 
 
 def _elevation(value: Array, local: LinkContext) -> Step:
+    # 1 - cos i is `1 + dz/d` here, so that 1 less is the sine of the elevation
     return Step(np.arcsin(local.observations.conditions[INCIDENCE] - 1)[None])
 
 

@@ -126,8 +126,11 @@ class PathNoise:
                 information += float((share * residuals.redundancy / variance**2).sum())
         if not information:
             return replace(self, std=np.inf)
+        # not 0: the prior of the stops would divide by it
         least = (_LEAST * self.constant) ** 2
         value = float(np.sqrt(max(self.repeatability**2 + score / information, least)))
+        # the standard uncertainty of the variance is sqrt(2 / information);
+        # that of its root is this over twice the root
         return replace(self, repeatability=value, std=float(np.sqrt(2 / information) / (2 * value)))
 
 
@@ -195,6 +198,7 @@ def stops_of(point: Index, time: Array | None) -> Index:
     if time is None:
         return np.zeros(len(point), dtype=np.intp)
     _, stop, counts = np.unique(np.stack([point, time]), axis=1, return_inverse=True, return_counts=True)
+    # numbered from 1 among stops of several lengths; 0 stays for the others
     number = np.where(counts > 1, np.cumsum(counts > 1), 0)
     return np.asarray(number[stop.ravel()], dtype=np.intp)
 

@@ -77,8 +77,10 @@ def _by_hashes(texts: Texts, names: Texts) -> Index | None:
     here, there = (row_hashes(Table({"": texts_of.astype(width)}), ("",)) for texts_of in (texts, names))
     order = np.argsort(there)
     begins = np.flatnonzero(np.append(True, here[1:] != here[:-1]))  # of the runs of rows with one name
+    # the last one is left out of the search, so that what lies behind it finds it and not a place beyond the end
     candidates = order[np.searchsorted(there[order[:-1]], here[begins])]
     places = np.repeat(candidates, np.diff(begins, append=len(here)))
+    # compared letter by letter: equal hashes of different names would be a wrong match
     return places if (names[places] == texts).all() else None
 
 

@@ -115,6 +115,7 @@ def of_tracers(solution: Solution, group: Group, listed_at: Array) -> NetworkLen
     links = list(group.chain.links)
     length = next(i for i, link in enumerate(links) if isinstance(link, t.LengthFrom))
     ends = Chain(tuple(links[:length])).predict(solution.blocks, observations).T
+    # the point at the other end is uncertain too: its coordinate along the beam counts like noise
     sigma = np.hypot(residuals.sigma[0], _spread(solution, observations))
     return NetworkLengths(
         noun,
@@ -238,6 +239,7 @@ def _planes(sights: NetworkLengths, lengths: Index) -> tuple[Array, Array, Array
     given = ~sights.free
     scatter[given[:, :, None] | given[:, None, :]] = 0.0
     largest = np.maximum(scatter.max(axis=(1, 2)), 1e-300)
+    # a given coordinate gets a large eigenvalue, so that it is never the normal
     scatter[:, range(3), range(3)] += np.where(given, 1e3 * largest[:, None], 0.0)
     # the product of the larger two eigenvalues is at most the square of half the trace: most members need no vectors
     a, b, c = np.moveaxis(scatter, 2, 0)
@@ -258,6 +260,7 @@ def _refined(sights: NetworkLengths, start: Array, noise: float) -> tuple[Array,
     count, of = len(start), sights.of
     weight = 1 / (noise * sights.sigma) ** 2
     unknown = np.column_stack([sights.free, sights.offset]).astype(float)
+    # the reading itself, from what was found and its residual: sights then need no chain
     read = np.linalg.norm(sights.places[of] - sights.ends, axis=1) + sights.residuals
 
     def misfit(state: Array) -> tuple[Array, Array, Array]:
@@ -274,6 +277,7 @@ def _refined(sights: NetworkLengths, start: Array, noise: float) -> tuple[Array,
         columns = np.column_stack([towards, -np.ones(len(of))]) * unknown[of]
         normal, right = _sums(of, columns, columns, weight, count), _sums(of, columns, miss[:, None], weight, count)
         size = np.maximum(normal[:, range(4), range(4)].max(axis=1), 1e-300)
+        # what is fixed gets a pivot of the same size: its column is 0, and its step stays 0
         normal[:, range(4), range(4)] += (damping * size)[:, None] + (1 - unknown) * size[:, None]
         moved = state + np.linalg.solve(normal, right)[:, :, 0]
         new_miss, new_towards, new_cost = misfit(moved)

@@ -83,6 +83,7 @@ def in_blocks(order: Array) -> Index:
     # six: sixteen blocks gave intervals that hold 85 % of the truth, fewer leave too few degrees of freedom
     # (docs/algorithms/cluster-robust-covariance.md)
     count = min(_MOST_BLOCKS, max(len(order) // _LEAST_IN_BLOCK, 1))
+    # argsort twice is the rank: equal times keep the order of the file
     rank = np.argsort(np.argsort(order, kind="stable"), kind="stable")
     return np.asarray(rank * count // max(len(order), 1), dtype=np.intp)
 

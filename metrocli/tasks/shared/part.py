@@ -97,6 +97,7 @@ class Part(Warm):
         The origin of the frame stays: `x / (1 + g)` with the covariance `C / (1 + g)^2 + u(g)^2 x x'`.
         """
         at = places * self.shrinkage
+        # growth is one number for all points, so that they share its error: `x x'` is its covariance
         return at, covariance * self.shrinkage**2 + self.std**2 * at[:, :, None] * at[:, None]
 
     def of_factors(self, at: Array, common: Array, core: Array) -> tuple[Array, Array]:

@@ -21,4 +21,5 @@ def without_rounding(values: Array, rounding: float) -> Array:
     """Return values to the last decimal that is larger than their rounding."""
     if not rounding > 0:
         return values
+    # adding 0 turns -0 into 0
     return np.asarray(np.round(values, -math.ceil(math.log10(rounding))) + 0.0)

@@ -57,6 +57,7 @@ def with_noise(
     `weighed_noise` is that noise by name. sigma0 then belongs to the unit weight, and the global test does not apply.
     """
     (size,) = weighed_noise.values()
+    # with an estimated noise sigma0 is 1 by construction, so that its test and its interval mean nothing
     kept = {name: value for name, value in statistics.items() if name not in ("p_value", "sigma0_low", "sigma0_high")}
     noise: Statistics = {"noise_estimated": True, **weighed_noise, "sigma0": size, "chi2": solution.dof * size**2}
     return {**kept, **noise, **(structured.statistics if structured is not None else {})}

@@ -66,6 +66,7 @@ def medians(places: Array, point: Index, count: int) -> Array:
     """Return the median place of each point, nan where it has none, (count, 3)."""
     counts = np.bincount(point, minlength=count)
     begin = np.cumsum(counts) - counts
+    # sorted by point and value, the members of a point follow each other, so that counts give its middle ones
     known = counts > 0
     low, high = (begin + (counts - 1) // 2)[known], (begin + counts // 2)[known]
     centres = np.full((count, 3), np.nan)
@@ -83,6 +84,7 @@ def disagreement(readings: NetworkReadings, rough: NetworkStart) -> tuple[float,
     seen = readings.sightings
     rows, places = placed(readings, rough)
     middle = medians(places, seen.point[rows], readings.points.count)
+    # several sightings in one round agree whatever its place is: only rounds are counted
     pairs = np.unique(np.stack([seen.orientation[rows], seen.point[rows]]), axis=1)
     shared = np.bincount(pairs[1], minlength=readings.points.count)[seen.point[rows]] > 1
     if not shared.any():
@@ -132,6 +134,7 @@ def fitted(local: Array, goal: Array, levelled: bool) -> Array:
         pose = _turned(local, goal, weights) if levelled else _pose(local, goal, weights)
         miss = np.linalg.norm(poses.apply(pose, local) - goal, axis=1)
         scale = max(float(np.median(miss)), 1e-9)
+        # of fewer than five no reading stands out
         if miss.max() <= 8 * scale or len(local) < 5:
             break
         weights = 1 / np.maximum(miss / scale, 1.0)

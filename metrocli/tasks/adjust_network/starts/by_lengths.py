@@ -20,6 +20,7 @@ def placed_by_lengths(readings: NetworkReadings, points: Array) -> Array:
     if lengths is None or np.isfinite(points[lengths.second]).all():
         return points
     points, before = points.copy(), -1
+    # points place stations, and stations further points, until a round places none
     while before != (before := int(np.isfinite(points).sum())):
         stations = {n: _station(readings, lengths, n, points) for n in np.unique(lengths.first).tolist()}
         for number in np.unique(lengths.second[np.isnan(points[lengths.second]).any(axis=1)]).tolist():

@@ -29,6 +29,7 @@ def must_agree_with_setups(network: Network) -> None:
     """Raise NotConvergedError for groups of which most contradict the set-ups; a network without set-ups has none."""
     for group in _others(network):
         off = np.sort(_off(group, network.blocks))
+        # the lower of two middle ones: more than half are off by so much
         most = off[(off.size - 1) // 2]
         if off.size >= _FEW and most > _limit(network):
             what = next((words for name, words in _WORDS.items() if name == group.name), "given points")
@@ -61,6 +62,7 @@ def refusal(network: Network, rows: Mapping[str, Index]) -> NotConvergedError:
 def _others(network: Network) -> list[Group]:
     """Return the groups beside those of sightings, if there are sightings."""
     groups = [network.model.group(name) for name in network.model.measured]
+    # the points of a single set-up are where it puts them, right or wrong
     several = len(np.unique(network.readings.sightings.station)) > 1
     given = [group for group in groups if group.name.startswith(GIVEN_POINTS)]
     own = [*given, *(group for group in groups if group.name in _WORDS)]

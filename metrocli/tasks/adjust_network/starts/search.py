@@ -96,6 +96,7 @@ class _Search:
 
     def _usable(self, number: int, rows: Index, known: Mask) -> Index:
         seen, station = self.readings.sightings, self.readings.sightings.rounds[number][0]
+        # from a known place an azimuth alone gives the turn
         if self.levelled[station] and np.isfinite(self.poses[station, 0]):
             return np.asarray(rows[known[seen.point[rows]] & np.isfinite(seen.values[0, rows])])
         return np.asarray(rows[known[seen.point[rows]] & self.whole[rows]])
@@ -110,6 +111,7 @@ class _Search:
             return False
         spread = np.linalg.svd(chosen - chosen.mean(axis=0), compute_uv=False)
         if self.levelled[station]:
+            # points above each other leave the turn about the vertical open
             return bool(np.ptp(chosen[:, :2], axis=0).max() > 1e-6 * max(spread[0], 1e-300))
         return bool(spread[1] > _LINE * spread[0])
 
@@ -122,6 +124,7 @@ class _Search:
             away = self.points[seen.point[rows]] - self.poses[station, :3]
             turns = np.arctan2(away[:, 1], away[:, 0]) - seen.values[0, rows]
             known_turn = self.turns[number]
+            # by unit vectors: the mean of angles breaks where they begin anew
             self.gamma[number] = np.angle(np.exp(1j * turns).sum()) if np.isnan(known_turn) else known_turn
         else:
             pose = fitted(self.local[rows], self.points[seen.point[rows]], bool(self.levelled[station]))
@@ -181,6 +184,7 @@ class _Search:
             beam = poses.apply(np.column_stack([np.zeros((len(rows), 3)), turned[:, 3:]]), beam)
             across = np.eye(3) - beam[:, :, None] * beam[:, None]
             matrix = across.sum(axis=0)
+            # parallel beams meet nowhere
             if np.linalg.eigvalsh(matrix)[0] > 1e-6:
                 right = np.einsum("nab,nb->a", across, turned[:, :3])
                 self.points[point] = np.linalg.solve(matrix, right)
@@ -213,6 +217,8 @@ def _alone(readings: NetworkReadings, levelled: Mask) -> _Search:
     shots = [int(search.whole[rows].sum()) for rows in search.rows]
     level = [bool(levelled[station]) for station, _ in readings.sightings.rounds]
     turned = [bool(np.isfinite(readings.stations.gamma[station])) for station, _ in readings.sightings.rounds]
+    # a known azimuth is that of the frame, and a levelled station has its
+    # vertical: both are worth more than many points
     begin = max(range(len(shots)), key=lambda i: (shots[i] > 0 and turned[i], shots[i] > 0 and level[i], shots[i]))
     search.begin_with(begin)
     search.run()
@@ -228,6 +234,7 @@ def _level(search: _Search) -> None:
         return
     away = search.points[heights.second] - search.points[heights.first]
     good = np.isfinite(away).all(axis=1)
+    # height differences in one plane do not show their common direction
     if good.sum() < 3 or np.linalg.matrix_rank(away[good], tol=1e-3 * np.abs(away[good]).max()) < 3:
         return
     up = np.linalg.lstsq(away[good], heights.values[good], rcond=None)[0]
@@ -236,6 +243,7 @@ def _level(search: _Search) -> None:
     angle = np.arctan2(np.linalg.norm(axis), up[2])
     size = np.linalg.norm(axis)
     turn = np.zeros(6)
+    # with z up it stays, with z down any axis across it turns it over
     turn[3:] = axis / size * angle if size > 1e-12 else [np.pi if up[2] < 0 else 0.0, 0.0, 0.0]
     _moved(search, turn)
 
@@ -247,6 +255,7 @@ def _onto_list(search: _Search, given: Array) -> None:
     both = known if known.sum() > 2 else both  # places without a sigma are rough
     if not both.any():
         return
+    # two points leave a turn about the line through them open
     upright = bool(search.levelled.any()) or both.sum() < 3
     _moved(search, fitted(search.points[both], given[both], upright))
     search.points = np.where(np.isfinite(search.points), search.points, given)

@@ -24,6 +24,7 @@ def decided_places(network: Network, solution: Solution) -> tuple[Mirrored, ...]
     listed = stations.listed[[stations.names.index(name) for name in solution.blocks[t.TRACER].members]]
     places = mirrored(of_tracers(solution, group, listed), noise)
     alone = np.ones(points.count, dtype=bool)
+    # other readings of a point show on which side it is
     for other in solution.groups:
         if other is not group and t.POINT in other.observations.index:
             alone[other.observations.index[t.POINT]] = False

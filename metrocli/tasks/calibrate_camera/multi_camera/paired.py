@@ -98,6 +98,7 @@ def _are_apart(job: Job[Settings, Files], cameras: dict[str, OneOfSeveral]) -> b
         return False
     far = np.linalg.norm(system.blocks[camera.VIEW].values[:, :3], axis=1)
     apart = np.linalg.norm(system.blocks[camera.MOUNT].values[1:, :3], axis=1)
+    # one camera at places that it came back to has a distance of 0 between its series (docs/decisions/263)
     return bool((apart > _APART * np.median(far)).all())
 
 

@@ -49,8 +49,10 @@ def likely(evidence: Evidence, kernels: Sequence[Array]) -> Size:
 
 
 def _likely(evidence: Evidence, kernel: Array) -> Size:
+    # a smooth kernel is singular to rounding: its root needs a little of a diagonal one
     root = np.linalg.cholesky(kernel + 1e-10 * np.trace(kernel) / len(kernel) * np.eye(len(kernel)))
     values, vectors = np.linalg.eigh(root.T @ evidence.normal @ root)
+    # in these directions the likelihood of a ratio is a sum, so that 181 ratios cost no decomposition each
     values, along = np.maximum(values, 0.0), (vectors.T @ (root.T @ evidence.right)) ** 2
 
     ratios, gains, variances = _RATIOS, np.zeros(1), np.ones(1)
@@ -60,6 +62,7 @@ def _likely(evidence: Evidence, kernel: Array) -> Size:
         if evidence.noise_known:
             gains, variances = (explained - log_det) / 2, np.ones(len(ratios))
         else:
+            # an unknown noise is estimated beside the shape, from what it leaves
             variances = (evidence.squares - explained) / evidence.dof
             gains = -(evidence.dof * np.log(variances * evidence.dof / evidence.squares) + log_det) / 2
         at, tried = int(np.argmax(gains)), ratios

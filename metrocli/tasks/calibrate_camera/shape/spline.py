@@ -35,6 +35,7 @@ _REACHES = (0.1, 0.2, 0.4)
 _STEPS = 100
 _NEAR = 0.1
 """Last step, in standard deviations, of the adjustment by which the shape's size is estimated"""
+# e^4: chance exceeds it in 0.7 % of cases (docs/decisions/202-shape-of-a-lens.md)
 _SHOWN = 4.0
 """Gain in the logarithm of the likelihood below which the readings show no shape"""
 
@@ -81,6 +82,7 @@ def _free_of(problem: CameraProblem) -> Array:
     uv, seen = uv[:, known], seen[:, known]
     local = LinkContext({camera.LENS: lens}, Observations(uv, np.ones(1), {}), frozenset({camera.LENS}))
     step = camera.lens_link(problem.convention).step(seen, local)
+    # a turn of the camera moves directions by its cross product with them
     turned = np.cross(np.eye(3)[:, :, None], seen[None], axisa=1, axisb=1, axisc=1)  # (3, 3, n): about x, y, z
     by_turn = np.einsum("apn,kpn->akn", np.asarray(step.by_input), turned)
     change = np.concatenate([step.by_block[camera.LENS][:, lens.free[0]], by_turn], axis=1)
@@ -88,6 +90,7 @@ def _free_of(problem: CameraProblem) -> Array:
     overlap = np.concatenate([change[axis] @ basis for axis in (0, 1)], axis=1)
     overlap /= np.linalg.norm(overlap, axis=1, keepdims=True)
     _, values, rows = np.linalg.svd(overlap, full_matrices=True)
+    # what the base lens or a turn could take is left to them, so that f, cx and k1 keep their meaning
     nothing: Array = rows[int((values > 1e-9).sum()) :].T
     return nothing
 
@@ -98,6 +101,7 @@ def kernels(link: LensShape, image_size: tuple[int, int]) -> list[Array]:
     apart = ((places[:, None] - places[None]) ** 2).sum(axis=2)
     alike = [np.exp(-apart / (2 * (reach * max(image_size)) ** 2)) for reach in _REACHES]
     n = link.to_coefficients
+    # coefficients are N w, and the columns of N are orthonormal: w has the covariance N'KN
     return [n.T @ np.kron(np.eye(2), one) @ n for one in alike]
 
 

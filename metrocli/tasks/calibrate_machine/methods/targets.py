@@ -85,6 +85,7 @@ class MeasuredTargets:
         """Return when the target of each reading was read for the first time, if the file has times."""
         if "t" not in table:
             return {}
+        # below 0: a point on the workpiece and a tool may have the same number
         target = np.where(self.on_workpiece, -1 - self.fixed, self.tool)
         _, number = np.unique(target, return_inverse=True)
         first = np.full(number.max() + 1, np.inf)

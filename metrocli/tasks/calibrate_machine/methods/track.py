@@ -65,6 +65,7 @@ def mismatch(measured: Array, nominal: Array, file: str) -> Fault:
     if unit is not None:
         text = f"the measured coordinates are {1 / unit:.4g} times as large as the commanded ones"
         return Fault(text, file, hint="is their unit right? a column mx_m or x_m is in metres")
+    # one axis is enough: a mirror image in another one is this one, turned
     mirrored = measured * [[1.0], [1.0], [-1.0]]
     if matches(poses.fit_pose(mirrored.T, nominal.T), mirrored, nominal):
         text = "the measured points are a mirror image of the commanded ones"
@@ -123,6 +124,7 @@ def cut(table: Table, path: Path, tools: Array, track_tool: Index | None, corner
     wild = off > usual * 3 + _WILD
     near_corner = (along < corner) | (along > path.lengths[leg] - corner)
     still = np.zeros(len(leg), dtype=bool)
+    # wild points are jumps, which would make the machine fast around them
     still[~wild] = _standing(points[:, ~wild], leg[~wild])
     broken, breaks = _breaks(points, wild, path.tool[leg])
     kept = ~(wild | near_corner | still | broken)
@@ -164,6 +166,7 @@ def _on_legs(points: Array, alignment: Alignment, path: Path, tools: Array) -> t
     """Return the leg of each point, the distance along it, and the distance from it, each (n,)."""
     aligned = poses.apply(alignment.pose, points.T)
     numbers = np.arange(points.shape[1])
+    # the alignment has some of the points: one between two of them is on the leg of either
     after = np.clip(np.searchsorted(alignment.rows, numbers), 0, len(alignment.rows) - 1)
     ends = path.leg_of(alignment.way)
     candidates = (ends[np.maximum(after - 1, 0)], ends[after])
@@ -186,6 +189,7 @@ def _standing(points: Array, leg: Index) -> Mask:
     """Return the points at which the machine hardly moves compared with the usual speed of the leg."""
     n = points.shape[1]
     step = np.linalg.norm(np.diff(points, axis=1), axis=0)
+    # 0.75 mm of usual way on either side: over less, noise would be a speed, and over more, rests would be none
     window = int(np.clip(np.ceil(_LEAST_BREAK / max(float(np.median(step)), 1e-9) / 4), 1, max(1, n // 100)))
     left, right = np.maximum(np.arange(n) - window, 0), np.minimum(np.arange(n) + window, n - 1)
     speed = np.linalg.norm(points[:, right] - points[:, left], axis=0) / (right - left)
@@ -213,6 +217,7 @@ def _breaks(points: Array, wild: Mask, tool: Index) -> tuple[Mask, Index]:
     """
     rows = np.flatnonzero(~wild)
     step = np.linalg.norm(np.diff(points[:, rows], axis=1), axis=0)
+    # of steps above 0: a long rest would make the median 0, and each step a break
     limit = max(_LEAST_BREAK, _BREAK * float(np.median(step[step > 0])) if (step > 0).any() else 0.0)
     at = np.flatnonzero((step > limit) & (np.diff(tool[rows]) == 0))
     near = np.zeros(points.shape[1], dtype=bool)

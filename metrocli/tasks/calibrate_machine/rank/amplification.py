@@ -40,6 +40,7 @@ def worst_ratio(problem: MachineProblem) -> float:
     unit = _angles_as_lengths(problem)[:, None] / np.sqrt(weight)
     path = normal_matrix([unit_noise(problem.readings, unit), *_loose(problem.groups)], blocks, unknowns)
     volume = volume_matrix(problem, unknowns)
+    # columns of one size: shifts in mm and turns in rad differ by many decades
     scale = 1 / np.sqrt(np.maximum(np.diag(path), 1e-300))
     values, vectors = np.linalg.eigh(path * scale[:, None] * scale)
     unseen, moves = values < _ROUNDING * values[-1], volume * scale[:, None] * scale

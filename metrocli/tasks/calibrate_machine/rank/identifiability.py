@@ -214,10 +214,12 @@ def _preference(machine: Machine) -> list[str]:
 def _taken(directions: Array, at: Index) -> tuple[Index, Array]:
     """Return the entries of an error to hold at zero, and the directions that then remain open."""
     part = directions[at]
+    # the pivots are the entries that the open directions move most: held at 0, they close as many as they can
     _, triangle, order = pivoted_qr(part.T)
     size = np.abs(np.diag(triangle))
     rank = int((size > _TOUCHED).sum())
     _, _, right = np.linalg.svd(part)
+    # what is left of them moves none of these entries
     rest = directions @ right[rank:].T
     return at[order[:rank]], rest
 

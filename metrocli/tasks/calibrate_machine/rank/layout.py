@@ -16,6 +16,7 @@ def line_of(places: Array) -> Array | None:
     if not spread[0] or spread[1] > _FLAT * spread[0]:
         return None
     way = ways[0]
+    # a line has no sense: its largest component is made positive
     return np.asarray(way * np.sign(way[np.argmax(np.abs(way))]) + 0.0)
 
 

@@ -87,6 +87,7 @@ def _group(turns: list[Array]) -> list[Array]:
     """Return the group of all products of the rotations."""
     group = {np.eye(3).tobytes(): np.eye(3)}
     while True:
+        # adding 0 turns -0 into 0: the bytes of equal matrices are then equal
         more = {(a @ b + 0.0).tobytes(): a @ b + 0.0 for a in group.values() for b in turns}
         if not set(more) - set(group):
             return list(group.values())
@@ -99,6 +100,7 @@ def _symmetric(sites: Index, turns: list[Array]) -> Projector:
     whole = np.asarray((at >= 0).all(axis=0))
 
     def project(fields: Array) -> Array:
+        # `R' G(R q)`: each image is carried back to the site before the mean is taken
         total = sum(np.einsum("ba,nbk->nak", turn, fields[row]) for turn, row in zip(turns, at, strict=True))
         return np.asarray(np.where(whole[:, None, None], total / len(turns), fields))
 

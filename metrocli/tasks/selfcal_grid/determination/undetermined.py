@@ -139,6 +139,7 @@ def _fit(null: Array, moves: Array) -> Array:
     for turn in range(_TURNS):
         fit = np.linalg.lstsq(moves * weights[:, None], null * weights[:, None], rcond=None)[0]
         left: Array = np.linalg.norm(null - moves @ fit, axis=1)
+        # the floor falls from turn to turn: in the end all weight is with rows that agree, and none is divided by 0
         weights = 1 / np.sqrt(np.maximum(left, max(float(left.max()), 1e-12) * 0.3**turn))
     return np.asarray(fit)
 
@@ -187,6 +188,7 @@ def _machine_fields(problem: GridProblem, design: FieldDesign) -> tuple[Array, A
 
 def _families(problem: GridProblem, basis: Array, fields: Array, extra: int) -> Iterator[UndeterminedFields]:
     """Yield the families, the simplest patterns first, each without the directions of the families before it."""
+    # rigid motions and the common scale are stated apart, whatever pattern contains them
     named = _within(basis, _standard(problem)[bg.MACHINE].reshape(len(basis), -1))
     left = extra
     for pattern, projector in patterns(problem):
@@ -257,5 +259,6 @@ def _left_with(problem: GridProblem, design: FieldDesign, view: bg.View) -> int:
 
 def _entries(design: FieldDesign, block: str) -> Array:
     columns = design.partition.columns[block]
+    # columns of unit length: what counts as 0 below is a share of them
     null = design.null / np.linalg.norm(design.null, axis=0)
     return np.where((columns >= 0)[:, :, None], null[np.maximum(columns, 0)], 0.0)

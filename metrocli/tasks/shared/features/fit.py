@@ -34,11 +34,13 @@ def starts(shape: IdealFeature, points: Array) -> Iterator[Ideal]:
         yield from _round(shape, away / size, centre, size, principal[2:])
     elif shape is IdealFeature.SPHERE:
         scaled = away / size
+        # `|p|^2 = 2 c.p + (R^2 - |c|^2)` is linear in the centre c and the last term
         *middle, rest = _solved(np.column_stack([2 * scaled, np.ones(len(points))]), (scaled**2).sum(axis=1))[0]
         radius = np.sqrt(max(rest + float(np.square(middle).sum()), 0.0))
         yield Ideal(shape, centre + size * np.array(middle), np.array([0.0, 0.0, 1.0]), size * radius, size=size)
     else:
         every = np.linspace(0, len(points) - 1, min(len(points), _SAMPLE)).astype(int)
+        # the principal axes as well: a long cylinder lies along one, closer than any of the even directions
         yield from _round(shape, away[every] / size, centre, size, np.concatenate([principal, _directions()]))
 
 
@@ -67,8 +69,10 @@ def _round(shape: IdealFeature, scaled: Array, centre: Array, size: float, axes:
             continue
         slope = solved[3] / (2 * radius) if shape is IdealFeature.CONE else 0.0
         origin = centre + size * (solved[0] * first + solved[1] * second)
+        # over the radius: u^2 + v^2 - R^2 is 2 R times the distance from the surface
         fits.append((misfit / radius, Ideal(shape, origin, axis, size * radius, float(np.arctan(slope)), size)))
     fits.sort(key=lambda one: one[0])
+    # several starts: the best direction of a coarse search is not always that of the best fit
     yield from (ideal for _, ideal in fits[:_KEPT])
 
 
@@ -106,6 +110,7 @@ def least_squares(shape: IdealFeature, points: Array) -> FeatureFit:
     normal = np.einsum("nka,nkb->ab", rows, rows)
     sensitivity = np.zeros((STEP, *points.shape))
     towards = np.einsum("nka,nkc->anc", rows, ideal.by_point(points))
+    # the least sum stays least: `J'J ds = -J' (dd/dp) dp`, second derivatives times residuals left out
     sensitivity[wanted] = -np.einsum("ab,bnc->anc", np.linalg.inv(normal), towards)
     return FeatureFit(ideal, Criterion.LEAST_SQUARES, distances(ideal, points), sensitivity)
 
@@ -123,12 +128,14 @@ def _gauss_newton(ideal: Ideal, points: Array, wanted: list[int]) -> Ideal | Non
         values = np.real(ideal.deviations(points)).reshape(-1)
         weight = np.sqrt(damping) * np.eye(len(wanted))
         step = np.zeros(STEP)
+        # divided by the root of the number, so that the damping means the same for any number of points
         stacked = np.vstack([rows / np.sqrt(len(points)), weight])
         step[wanted] = -np.linalg.lstsq(stacked, np.append(values / np.sqrt(len(points)), np.zeros(len(wanted))))[0]
         trial = ideal.moved(step)
         reached = _sum(trial, points)
         if np.abs(step).max() <= _EXACT * ideal.size:
             return trial if reached <= goal else ideal
+        # rounding may raise the sum at its minimum
         if reached <= goal * (1 + _EXACT):
             ideal, goal, damping = trial, reached, damping / 10 if damping > 1e-8 else 0.0
         else:
@@ -189,6 +196,7 @@ class FeatureFit:
         return np.concatenate([numbers, self._form_by_points(points)[None]])
 
     def _form_by_points(self, points: Array) -> Array:
+        # the width of the zone changes with its two farthest points only; about a line it is twice the largest distance
         ends = [(int(np.argmax(self.deviations)), 2.0)]
         if self.ideal.shape is not IdealFeature.LINE:
             ends = [(int(np.argmax(self.deviations)), 1.0), (int(np.argmin(self.deviations)), -1.0)]

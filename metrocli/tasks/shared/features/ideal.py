@@ -93,6 +93,7 @@ class Ideal:
     def by_step(self, points: Array, step: Array | None = None) -> Array:
         """Return the derivative (n, k, 7) of the deviations by the step, at a step."""
         at = np.zeros(STEP) if step is None else step
+        # the imaginary part of f(x + i h) over h is the derivative to rounding, at any tiny h
         columns = [np.imag(self.deviations(points, at + 1j * _TINY * direction)) / _TINY for direction in np.eye(STEP)]
         return np.stack(columns, axis=2)
 
@@ -141,6 +142,7 @@ class Ideal:
         first, second = self._tangents
         axis = self.axis + (step[3] * first + step[4] * second) / self.size
         origin = self.origin + step[0] * first + step[1] * second + step[2] * self.axis
+        # not `np.linalg.norm`: it takes the absolute value of a complex step, which has no derivative
         return origin, axis / np.sqrt(axis @ axis), self.radius + step[5], self.half_angle + step[6] / self.size
 
 

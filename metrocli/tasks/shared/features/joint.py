@@ -46,6 +46,7 @@ class Joint:
 
         n = len(self.own)
         towards = derivative @ self.common.reshape(3 * n, -1)
+        # sums over the points of each replay: they share its error
         places = csr_array((np.ones(3 * n), (np.arange(3 * n), (3 * self.replay[:, None] + np.arange(3)).ravel())))
         grouped = derivative @ places
         blocks = block_diag(list(self.of_replay[: places.shape[1] // 3]), format="csr")

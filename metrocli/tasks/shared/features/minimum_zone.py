@@ -65,6 +65,7 @@ def minimum_zone(shape: IdealFeature, points: Array) -> FeatureFit:
 def _approached(ideal: Ideal, points: Array, wanted: list[int]) -> tuple[Ideal, ZoneContact] | None:
     """Return the minimum zone by programmes and Newton's method, and its points in contact; None without a proof."""
     nearer = _by_quadratic if ideal.shape is IdealFeature.LINE else _by_linear
+    # a few programmes first: Newton's method on the wrong points in contact does not come back
     for gain, least in itertools.product(_GAINS, _LEAST_WEIGHTS):
         ideal = nearer(ideal, points, wanted, gain) if least == _LEAST_WEIGHTS[0] else ideal
         held, contact = _in_contact(ideal, points, wanted, least)
@@ -81,6 +82,7 @@ def _enumerated(ideal: Ideal, points: Array, wanted: list[int]) -> tuple[Ideal, 
     values = distances(ideal, points)
     farthest = np.argsort(-np.abs(values))[:_FEW]
     best, least = None, np.inf
+    # from two points to one more than there are unknowns: more cannot all be needed
     for size in range(2, len(wanted) + 2):
         for chosen in itertools.combinations(farthest, size):
             rows = np.array(chosen)
@@ -111,6 +113,7 @@ def _by_linear(ideal: Ideal, points: Array, wanted: list[int], gain: float) -> I
     level, reach = _level(ideal, points), 1.0
     for _ in range(_ITERATIONS):
         values, rows = distances(ideal, points) / level, gradients(ideal, points)[0][:, wanted]
+        # each point limits the zone on both sides
         values, rows = np.concatenate([values, -values]), np.concatenate([rows, -rows])
         optimum, least = highest(-rows, -values, reach)
         step = np.zeros(STEP)
@@ -194,6 +197,7 @@ def _contact(ideal: Ideal, points: Array, wanted: list[int], least: float) -> Zo
     values = distances(ideal, points)
     level = np.abs(values).max()
     near = np.flatnonzero(np.abs(values) >= (1 - _NEAR) * level)
+    # a zone has few points in contact, and nnls takes long for many that are nearly so
     near = near[np.argsort(-np.abs(values[near]))[:200]]
     sides = np.sign(values[near])
     rows = sides[:, None] * gradients(ideal, points[near])[0][:, wanted]
@@ -220,6 +224,7 @@ def _newton(ideal: Ideal, points: Array, wanted: list[int], contact: ZoneContact
     size, held = len(wanted), len(values)
     matrix = _bordered(_curvature(ideal, at, wanted, sides * contact.weights), rows)
     wanted_values = np.concatenate([np.zeros(size), [1.0], -values])
+    # lstsq: the matrix is singular where the curvature does not hold what few points in contact leave open
     solved = np.linalg.lstsq(matrix, wanted_values, rcond=1e-14)[0]
     step = np.zeros(STEP)
     step[wanted] = solved[:size]

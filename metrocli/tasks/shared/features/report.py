@@ -59,7 +59,9 @@ def fitted(
     covariance = joint.propagated(derivative)
     values = np.array([_numbers(fit, points[feature.rows]) for feature, fit in each])
     std = np.sqrt(np.maximum(np.diag(covariance), 0.0)).reshape(values.shape)
+    # before numbers that a shape does not have become nan, which would fail every comparison
     _refuse_vague(each, values, std)
+    # points without any noise have digits of rounding behind the last one that means something
     exact, rounding = ~std.any(axis=1), rounding_of(points)
     values[exact] = without_rounding(values[exact], rounding)
     absent = np.array([[name in _WITHOUT[feature.shape] for name in _ALL] for feature, _ in each])
@@ -151,6 +153,7 @@ def _fit(feature: RequestedFeature, criterion: Criterion, points: Array) -> Feat
 def _refuse_vague(each: Sequence[tuple[RequestedFeature, FeatureFit]], values: Array, std: Array) -> None:
     """Raise UndeterminedError for a feature that the errors of its points could move by its own size or turn around."""
     for (feature, fit), number, spread in zip(each, values, std, strict=True):
+        # lengths over the size of the feature, angles as they are: 1 is a turn or a move by the whole of it
         reach = np.append(spread[[0, 1, 2, 6]] / fit.ideal.size, spread[[3, 4, 5, 7]])
         if not reach.max() < 1.0:
             moves = [f"its place moves by {1e3 * spread[:3].max():.3g} um"]

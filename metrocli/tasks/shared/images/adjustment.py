@@ -141,6 +141,7 @@ def adjust_images(
     state: Mapping[str, Block] = blocks
     if not options.started:
         state = robust_start(blocks.values(), [group, *others], (group.name,), datum, "view")
+    # readings that are far off at the start are left out at once: each would otherwise take a round of its own
     far = gross(group, state) if options.remove_outliers else np.zeros(group.observations.count)
     begun = _KeptImagePoints(
         Used(far), group.selected(np.flatnonzero(far == 0)), state, _ROUGH if options.remove_outliers else _EXACT
@@ -157,6 +158,7 @@ def adjust_images(
             using.used.without(suspected, out),
             solved.group.selected(keep),
             solved.solution.blocks,
+            # rough as long as outliers are found; a last adjustment is exact
             using.within if out.size else _EXACT,
         )
         return left, bool(out.size) or using.within is not _EXACT
@@ -219,6 +221,7 @@ def must_converge(solution: Solution, noticed: Sequence[str] = ()) -> None:
 def _noise(residuals: Residuals, group: Group) -> float:
     """Return sigma0 of the image points alone, `sqrt(v'Pv / sum r)` with redundancy numbers r (variance component)."""
     whitened = group.observations.whitened(residuals.values)
+    # the image points alone: lists and priors beside them have a noise of their own
     controlled = float(residuals.redundancy.sum())
     return float(np.sqrt((whitened**2).sum() / controlled)) if controlled > 0 else 1.0
 

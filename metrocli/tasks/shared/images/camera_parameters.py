@@ -59,6 +59,7 @@ class Parameters:
         """
         std = np.where(self.std > 0, self.std, np.nan)
         two_sided = np.array([math.erfc(z / math.sqrt(2)) for z in np.abs(self.values / std)])
+        # 0 is the value of no distortion; a focal length is far from 0 whatever it is
         neutral = np.isin(self.names, (*DISTORTION, "skew", "aspect"))
         by_chance = np.where(neutral, two_sided, np.nan)
         columns = {"parameter [text]": self.names, "value": self.values, "std": self.std, "U": 2 * self.std}

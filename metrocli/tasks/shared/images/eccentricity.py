@@ -58,6 +58,7 @@ def imaged(group: Group, blocks: Mapping[str, Block], radius: Array) -> tuple[Ar
     u, v = np.moveaxis(rim - centre, 1, 0)
     u_next, v_next = np.roll(u, -1, axis=0), np.roll(v, -1, axis=0)
     cross = u * v_next - u_next * v
+    # shoelace formula about the image of the centre, so that the centroid is the shift itself
     area = cross.sum(axis=0)
     whole = np.abs(area) > 1e-12
     moved = np.stack([((u + u_next) * cross).sum(axis=0), ((v + v_next) * cross).sum(axis=0)])
@@ -76,7 +77,9 @@ def corrected(
     the declared radii (`metrocli/tasks/shared/images/eccentricity.py`).
     """
     measured = group.observations.readings
+    # without correction first: the imaged sizes need poses, and poses are hardly moved by eccentricity
     state = dict(adjust(blocks.values(), [group, *others], datum, StoppingRule(limit=15, covariance=False)).blocks)
+    # before it is used: a diameter of ten times moves a part by millimetres and leaves no residual
     check_diameters(group, imaged(group, state, radius)[1], radius[group.observations.index[TARGET]])
     for _ in range(_ROUNDS):
         moved = measured - shift(group, state, radius)
@@ -124,6 +127,7 @@ def check_diameters(group: Group, predicted: Array, radius: Array) -> None:
         )
     if abs(middle - 1) > allowed:
         diameter = middle * float(np.median(expected))
+        # the edge is a fixed width in px: of a larger image of the target it is a smaller share
         spread = diameter * (allowed + float(np.median(edge)) * (1 / middle - 1))
         declared = np.unique(expected)
         sizes = listed([format_quantity(value, "mm") for value in declared.tolist()], 3)

@@ -33,6 +33,7 @@ class Exposures:
     def readings(self, observations: Observations) -> Observations:
         """Return readings whose view is their exposure; IMAGE is then their image, and lens and mount their camera."""
         image = observations.index["view"]
+        # a single camera keeps blocks of one member, which need no index
         of_camera = dict.fromkeys((LENS, MOUNT), self.camera[image]) if len(self.cameras) > 1 else {}
         index = {**observations.index, **of_camera, IMAGE: image, "view": self.exposure[image]}
         return replace(observations, index=index)

@@ -59,6 +59,7 @@ def _difference(one: StatedCamera, other: StatedCamera) -> LensDifference:
     uv = np.stack([part.ravel() for part in np.meshgrid(*along)])
     seen, there = _units(one, uv), _units(other, uv)
     known = np.isfinite(seen).all(axis=0) & np.isfinite(there).all(axis=0)
+    # what a turn of the camera explains is no difference of its lens: the poses of its images take it up
     rotation = nearest_rotation(there[:, known] @ seen[:, known].T)
     wanted, at = rotation @ seen, uv.copy()
     for _ in range(_ROUNDS):
@@ -66,6 +67,7 @@ def _difference(one: StatedCamera, other: StatedCamera) -> LensDifference:
         by_u, by_v = ((_units(other, at + step) - here) / _STEP for step in np.eye(2)[:, :, None] * _STEP)
         left = wanted - here
         a, b, c = (by_u * by_u).sum(axis=0), (by_u * by_v).sum(axis=0), (by_v * by_v).sum(axis=0)
+        # normal equations of two unknowns for each place, solved in closed form
         p, q = (by_u * left).sum(axis=0), (by_v * left).sum(axis=0)
         at = at + np.stack([c * p - b * q, a * q - b * p]) / (a * c - b * b)
     return LensDifference(one.name, uv, at - uv, one.size)

@@ -79,6 +79,7 @@ def _in_all(images: ImageSet, pattern: Pattern) -> tuple[Table, tuple[str, ...]]
     if not len(uv):
         hint = "; ".join(f"{listed(shown, 3)}: {reason}" for reason, shown in reasons.items())
         raise InputError([Fault(f"no target found in any of {len(images.names)} images", hint=hint)])
+    # the radius of the circle of as large an area: the geometric mean of both half axes
     table = Table.of({"image": names, "target": targets, "u v [px]": uv, SIZE: np.concatenate(sizes)})
     if copied := copies.faults(table, OBSERVATIONS):
         raise InputError(copied)

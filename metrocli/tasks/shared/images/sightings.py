@@ -161,6 +161,7 @@ def join(table: Table, targets: TargetCoordinates, sigma: float, fewest: int) ->
         warnings.append(f"{unseen.size} targets of the list are seen in no image: {names}")
     spread = table.numbers("sigma", sigma)
     _refuse(table, spread <= 0, "the standard deviation of an image point is not above zero")
+    # numbers of the images that are kept, without gaps
     numbers = np.cumsum(enough) - 1
     conditions = {name: values[keep] for name, values in table.conditions("t", "temp", SIZE).items()}
     observations = Observations(
@@ -186,6 +187,7 @@ def check_inside(sighted: Sighted, size: Array) -> Sighted:
     outside = ((uv < -_BEYOND * extent) | (uv > (1 + _BEYOND) * extent)).any(axis=0)
     if not outside.any():
         return sighted
+    # a reading a whole image away is never seen: one is enough to show a mistake in the file
     far = ((uv < -extent) | (uv > 2 * extent)).any(axis=0)
     i = int(np.flatnonzero(far if far.any() else outside)[0])
     keys = sighted.observations.keys

@@ -118,6 +118,7 @@ def _projected(shown: SimulatedCamera, image: int, chosen: Index) -> tuple[Array
     points = poses.apply(shown.to_camera[image], shown.targets.points[chosen])
     fisheye = shown.convention == "fisheye"
     front = (points[:, 2] > 0) | fisheye
+    # the size of a target shrinks with its distance, which of a fisheye is not Z
     z = np.linalg.norm(points, axis=1) if fisheye else np.where(front, points[:, 2], 1.0)
     flat = equidistant(points.T) if fisheye else None
     x, y = (points[:, 0] / z, points[:, 1] / z) if flat is None else (flat.x, flat.y)
@@ -128,6 +129,7 @@ def _projected(shown: SimulatedCamera, image: int, chosen: Index) -> tuple[Array
     )
     w, h = shown.image_size
     inside = front & (u > size) & (u < w - 1 - size) & (v > size) & (v < h - 1 - size)
+    # only for those that seem inside: the inverse of the lens costs most
     inside[inside] = _mapped(shown, x[inside], y[inside], u[inside], v[inside])
     return np.column_stack([u, v]), inside
 
@@ -146,6 +148,7 @@ def _distorted(shown: SimulatedCamera, x: Array, y: Array) -> tuple[Array, Array
     """Return the image points u, v [px] of ideal points x, y in the plane Z = 1; a backward lens is iterated."""
     if shown.convention != "backward":
         return image_point(shown.lens, x, y, shown.convention == "fisheye")
+    # without distortion: a start for the iteration
     u, v = image_point(
         {name: value for name, value in shown.lens.items() if name[0] not in "kps" or name == "skew"}, x, y
     )
@@ -225,6 +228,7 @@ def pictures(
     if pattern.type in GRIDS:
         drawings.board(pattern)
     for shown in cameras:
+        # one seed for each image, drawn in order: images may be rendered alone or by several processes
         seeds = rng.integers(0, 2**63, len(shown.images))
         for i, image in enumerate(shown.images):
             chosen = list(range(len(shown.targets.names))) if only is None else only(i)

@@ -47,12 +47,14 @@ def scatter(residuals: Array, readings: Array, image: Index, size: tuple[int, in
     squares = list[float]()
     for i in np.flatnonzero(np.bincount(image) >= FEW).tolist():
         mine = image == i
+        # about the middle and in units of the image: powers up to 7 stay of one size
         x, y = readings[0, mine] / w - 0.5, readings[1, mine] / h - 0.5
         # at least twice as many points as coefficients, or the polynomial would take the noise, too
         degree = next(d for d in range(_SMOOTH, 0, -1) if (d + 1) * (d + 2) <= mine.sum())
         smooth = np.stack([x**a * y**b for a in range(degree + 1) for b in range(degree + 1 - a)], axis=1)
         values = residuals[:, mine].T
         left = values - smooth @ np.linalg.lstsq(smooth, values, rcond=None)[0]
+        # divided by what is left after the coefficients, so that high degrees do not make the noise smaller
         squares.append(float((left**2).sum()) / (len(left) - smooth.shape[1]))
     return float(np.sqrt(np.median(squares))) if squares else float("nan")
 
@@ -69,6 +71,7 @@ def rms_table(residuals: Array, group: Group, label: str, index: Index, names: S
     u, v = (np.sqrt(np.bincount(index, row, len(names)) / np.maximum(counts, 1)) for row in square)
     by_size = np.argsort(distance, kind="stable")
     worst = np.full(len(names), -1, dtype=np.intp)
+    # written in rising order, so that the largest of each stays
     worst[index[by_size]] = by_size
     other = "target" if label == "image" else "image"
     keys = group.observations.keys[other]
