@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import time
 from collections.abc import Callable, Iterator
@@ -16,6 +17,9 @@ from metrocli import tasks
 # The outcome of the suite depends on the change alone. More and new draws: HYPOTHESIS_PROFILE=default, and `make fuzz`.
 settings.register_profile("repeatable", derandomize=True, max_examples=25)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "repeatable"))
+
+# Searching for cycles would take most of the time in which the laws parse all modules.
+gc.set_threshold(100_000, 20, 100)
 
 LONGEST = 8.0
 """CPU seconds of a test from which it is to be marked slow"""

@@ -21,7 +21,7 @@ def shell(line: str, folder: Path) -> tuple[int, str]:
 
 @pytest.mark.skipif(not FULL.exists(), reason="there is no /dev/full here")
 @pytest.mark.parametrize(
-    "arguments", ["--help", "--version", "check --help", "show absent.h5 --json", "effects --json"]
+    "arguments", ["--help", "--version", "check --help", "show absent.h5 --json", "schema multilaterate"]
 )
 def test_a_full_stdout_ends_with_3(arguments: str, tmp_path: Path) -> None:
     code, said = shell(f"{COMMAND} {arguments} > /dev/full", tmp_path)

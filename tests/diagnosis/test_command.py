@@ -116,7 +116,7 @@ def test_json_has_the_keys_of_the_contract(folder: Path, metrocli: Metrocli) -> 
 
 
 def test_the_extended_job_runs_unmodified_and_is_clean(folder: Path, metrocli: Metrocli) -> None:
-    job = write(folder, measured("refraction-drift"))
+    job = write(folder, measured("tracer-scale"))
     before = job.read_text()
     assert metrocli("diagnose", job).code == 0
     assert job.read_text() == before

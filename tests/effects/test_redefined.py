@@ -64,6 +64,7 @@ def solved(model: Model, data: Model) -> Solution:
     return adjust(model.blocks.values(), groups, model.datum)
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize("one", REDEFINED, ids=NAMES)
 def test_estimates_and_covariances_are_those_of_the_built_in_effect(one: Redefined) -> None:
     built, own = built_of(one), own_of(one)

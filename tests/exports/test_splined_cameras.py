@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import subprocess
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -13,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 import yaml
-from exports.test_cameras import MRCAL_PROJECTS, SIZE, ours, points, python_with, stated, written
+from exports.test_cameras import SIZE, mrcal_projects, ours, points, stated, written
 from scipy.interpolate import BSpline
 
 from benchmarks.apart import rig
@@ -64,15 +63,9 @@ def test_a_lens_that_no_other_model_of_mrcal_holds_is_written_as_a_spline(name: 
 
 
 def test_mrcal_projects_a_written_spline_by_the_same_formula(tmp_path: Path) -> None:
-    python = python_with("mrcal")
-    if python is None:
-        pytest.skip("no Python of this machine has mrcal (Debian: python3-mrcal)")
-    for name in ("fisheye", "tilted"):
-        file, seen = tmp_path / f"{name}.cameramodel", points(name)
-        file.write_text(written("mrcal", name))
-        work = json.dumps({"file": str(file), "points": seen.tolist()})
-        done = subprocess.run([python, "-c", MRCAL_PROJECTS], input=work, capture_output=True, text=True, check=True)
-        found, known = np.array(json.loads(done.stdout)), inside(ours(name, seen))
+    for name, (file, found) in mrcal_projects(tmp_path, ("fisheye", "tilted")).items():
+        seen = points(name)
+        known = inside(ours(name, seen))
         assert np.abs(found - projected(file.read_text(), seen))[known].max() < 1e-9
         assert np.linalg.norm(found - ours(name, seen), axis=1)[known].max() < 1.1 * stated(file.read_text())[1]
 

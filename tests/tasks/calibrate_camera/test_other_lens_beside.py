@@ -87,11 +87,13 @@ def test_they_are_exported_and_compared_each_by_its_model(rig: Path, metrocli: M
     assert "left, over the image after the best rotation" in told and "wide, over the image" in told
 
 
+@pytest.mark.slow
 def test_nothing_is_found_where_nothing_is_hidden(rig: Path, metrocli: Metrocli) -> None:
     found = json.loads(metrocli("diagnose", "rig.yaml", "--json").out)
     assert found["verdict"] == "clean" and not found["effects"]
 
 
+@pytest.mark.slow
 def test_a_fisheye_that_a_pinhole_nearly_fits_is_named_beside_an_estimated_noise(
     tmp_path: Path, metrocli: Metrocli, monkeypatch: pytest.MonkeyPatch
 ) -> None:

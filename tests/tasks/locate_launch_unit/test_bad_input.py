@@ -101,7 +101,7 @@ MISREAD: dict[str, tuple[Callable[[Poses], Poses], str]] = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("distances", [False, True])
+@pytest.mark.parametrize("distances", [False, pytest.param(True, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("name", MISREAD)
 def test_columns_that_hold_something_else_are_named(name: str, distances: bool) -> None:
     spoil, words = MISREAD[name]

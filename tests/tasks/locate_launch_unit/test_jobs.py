@@ -52,6 +52,7 @@ def job(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 LONG = ("beam-offset", "bad-pose.P7")
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize(
     "label", [pytest.param(label, marks=pytest.mark.slow if label in LONG else ()) for label in PLANTED]
 )
@@ -157,6 +158,7 @@ SWAPPED = {
 }
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize(
     "columns", [pytest.param(one, marks=pytest.mark.slow if one == "phi2 and phi3" else ()) for one in SWAPPED]
 )

@@ -147,6 +147,7 @@ def test_a_large_grid_may_stand_askew(tilt: float) -> None:
     assert told[0].startswith("view '3'")
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize("axes", [("i", "j", "k"), ("k", "i", "j"), ("j", "k", "i")])
 def test_a_plate_that_stands_the_other_way_is_told(
     axes: tuple[str, str, str], folder: Path, metrocli: Metrocli
