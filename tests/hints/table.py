@@ -185,9 +185,9 @@ FITS = [
 
 GRID = [
     Row("the balls{} are read {} mm apart, the pitch is {} mm: is the pitch or a unit of the file wrong?", "ball-cube", CUBE,
-        {"jobs/views.yaml": put("pitch: 65 mm", "pitch: 32.5 mm")}, {"jobs/views.yaml": put("pitch: 65 mm", "pitch: 65.1 mm")}, DONE),
+        {"jobs/views.yaml": put("pitch: 65 mm", "pitch: 32.5 mm")}, {"jobs/views.yaml": put("pitch: 65 mm", "pitch: 65.1 mm")}, DONE, slow=True),
     Row("{} are exchanged: the readings fit the balls the other way round", "ball-cube", CUBE, {VIEWS: put("view,i,j,k", "view,j,i,k")},
-        {VIEWS: put("1,-2,-2,-1", "1,-2,-1,-2")}, "where ball (-2, -2, -1) stands", "i and j"),
+        {VIEWS: put("1,-2,-2,-1", "1,-2,-1,-2")}, "where ball (-2, -2, -1) stands", "i and j", slow=True),
     Row("{} {}: the readings fit balls of the opposite sign", "ball-cube", CUBE, {VIEWS: times(-1, "z_mm")},
         {VIEWS: times(1.0001, "z_mm")}, DONE, "z", slow=True),
     Row("views '{}' and '{}' are exchanged", "ball-cube", CUBE, {VIEWS: exchanged("view", "1", "2")},

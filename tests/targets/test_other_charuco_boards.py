@@ -16,12 +16,6 @@ from metrocli.targets.pattern import Pattern
 BOARD = Pattern("charuco", columns=7, rows=5, pitch=35.0, marker_size=24.0, dictionary="4x4_50")
 
 
-@pytest.fixture(autouse=True)
-def few_dictionaries(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Those of these boards, and one more: the search in all takes seconds an image, and other tests have it."""
-    monkeypatch.setattr("metrocli.targets.charuco.DICTIONARIES", ("4x4_50", "4x4_250", "5x5_250", "6x6_250"))
-
-
 def picture(pattern: Pattern) -> np.ndarray[tuple[int, int], np.dtype[np.uint8]]:
     rows, columns = pattern.shape
     image = _board(pattern).generateImage(((columns + 1) * 60, (rows + 1) * 60), marginSize=40)

@@ -63,7 +63,10 @@ def test_nominals(before: str, after: str, message: str, tmp_path: Path, metrocl
 
 @pytest.mark.parametrize(
     ("before", "after", "name"),
-    [("normal: [0.0, 0.0, 1.0]", "normal: [0.0, 0.0, -1.0]", "top"), ("material: inside", "material: outside", "boss")],
+    [
+        ("normal: [0.0, 0.0, 1.0]", "normal: [0.0, 0.0, -1.0]", "top"),
+        pytest.param("material: inside", "material: outside", "boss", marks=pytest.mark.slow),
+    ],
 )
 def test_a_surface_with_the_material_on_the_wrong_side(
     before: str, after: str, name: str, tmp_path: Path, metrocli: Metrocli

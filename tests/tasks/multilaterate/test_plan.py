@@ -145,7 +145,7 @@ BEYOND: dict[str, tuple[Callable[[], Network], str]] = {
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=pytest.mark.slow if number > 2 else ()) for number, name in enumerate(BEYOND)]
+    "name", [pytest.param(name, marks=pytest.mark.slow if number > 1 else ()) for number, name in enumerate(BEYOND)]
 )
 def test_a_layout_that_cannot_carry_the_answer_is_refused_before_it_is_measured(name: str) -> None:
     make, words = BEYOND[name]
