@@ -30,7 +30,7 @@ def test_a_full_stdout_ends_with_3(arguments: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(not FULL.exists(), reason="there is no /dev/full here")
-@pytest.mark.parametrize("stream", ["2>&-", "2>/dev/full", ">&- 2>&-"])
+@pytest.mark.parametrize("stream", ["2>&-", pytest.param("2>/dev/full", marks=pytest.mark.slow), ">&- 2>&-"])
 def test_messages_that_nobody_can_read_change_no_exit_code(stream: str, tmp_path: Path) -> None:
     assert shell(f"{COMMAND} show absent.h5 {stream}", tmp_path) == (3, "")
     assert shell(f"{COMMAND} --no-such-option {stream}", tmp_path) == (2, "")

@@ -482,6 +482,7 @@ def test_a_direction_of_an_effect_that_nothing_shows_is_held_and_told(folder: Pa
     assert dz["value"] == 0 and all(part["std"] is None and part["unseen"] for part in (dx, dy, dz))
     assert abs(dx["value"] + 0.5) < 0.1 and abs(dy["value"] - 0.4) < 0.1
     assert data["noise"]["apart"] == []
+    assert " ".join(metrocli("diagnose", "job.yaml").out.split()).count("mm (not seen)") >= 3
     assert metrocli("align-part", data["extended_job"]).code == 0
     assert json.loads(metrocli("diagnose", data["extended_job"], "--json").out)["verdict"] == "clean"
 

@@ -80,6 +80,7 @@ def test_every_code_is_read_in_any_turn(step: int) -> None:
         assert found.targets == tuple(str(code) for code in chosen)
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize("diameter", [6, 10, pytest.param(30, marks=pytest.mark.slow)])
 def test_centres_agree_with_the_perspective_ellipse(diameter: float) -> None:
     rng = np.random.default_rng(9)

@@ -289,6 +289,7 @@ def test_a_truth_that_is_not_that_of_the_cameras_is_refused(
     assert ran.code == 3 and words in ran.err, ran.err
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize(
     ("lens", "told"),
     [(", cx: 460 px, estimate: [f, cy, k1, k2]", "right: the principal point is held at"), ("", "")],

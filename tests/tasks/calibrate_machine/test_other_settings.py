@@ -59,6 +59,7 @@ WRONG = {
 }
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize("wrong", WRONG)
 def test_a_wrong_setting_makes_the_result_doubtful(wrong: str, job: Path, metrocli: Metrocli) -> None:
     """Chi-square is as expected in all of these: the repeatability is larger instead."""

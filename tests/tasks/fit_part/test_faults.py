@@ -256,6 +256,7 @@ def test_fewer_than_six_constraints(tmp_path: Path, metrocli: Metrocli) -> None:
     assert ran.code == 4 and "independent constraints of the 6 that a pose needs" in ran.err
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize(("axes", "left"), [((0,), 3), ((1,), 3), ((2,), 3), ((0, 1), 1)])
 def test_points_on_some_faces_of_a_mesh_leave_motions_open(
     axes: tuple[int, ...], left: int, tmp_path: Path, metrocli: Metrocli

@@ -187,6 +187,7 @@ def test_diagnose_names_what_was_planted(job: Path, metrocli: Callable[..., obje
     assert extended.code == 0, extended.err  # type: ignore[attr-defined]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("distances", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_what_of_a_bad_pose_is_not_seen_has_no_standard_deviation(
     distances: bool, job: Path, metrocli: Callable[..., object]

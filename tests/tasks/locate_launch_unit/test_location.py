@@ -37,6 +37,7 @@ def test_the_ideal_scenario_of_the_paper_is_exact(method: str) -> None:
     assert np.abs(off(located(paper(), method), paper().truth)).max() < 1e-6
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize("method", unit_job.METHODS)
 @pytest.mark.parametrize("seed", range(10))
 def test_any_place_is_found_from_nothing(method: str, seed: int) -> None:
@@ -91,6 +92,7 @@ def test_the_covariance_is_honest(n: int, distances: bool) -> None:
     assert np.mean(np.square(sigma0)) == pytest.approx(1, abs=0.18)
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize("method", ["lines", "closed-loop"])
 def test_the_methods_of_the_paper_state_what_they_scatter(method: str) -> None:
     exact = anywhere(4, 5, distances=True)

@@ -70,6 +70,7 @@ def waved(places: np.ndarray) -> np.ndarray:
     return bent(places) + 0.003 * np.sin(3 * np.stack([y, z, x], axis=1) + 1)
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize("field", [bent, waved])
 @pytest.mark.parametrize("noise", [5e-3, 5e-4, 5e-5])
 def test_between_sites_both_forms_are_off_as_their_uncertainties_say(
