@@ -132,7 +132,7 @@ def test_splines_that_are_no_lens_are_refused() -> None:
             read(text)
         return str(caught.value)
 
-    rough = RNG.normal(0, 0.004, (50, 60, 2))
+    rough = RNG.normal(0, 0.004, (30, 36, 2))
     said = fault(model(rough))
     assert "is not smooth enough" in said and "within 0.05 px" in said
     folded = np.zeros((10, 12, 2))
@@ -143,6 +143,7 @@ def test_splines_that_are_no_lens_are_refused() -> None:
     assert "is not known here" in fault(model(smooth()).replace("order=3", "order=2"))
 
 
+@pytest.mark.slow
 def test_a_camera_with_a_shape_goes_through_mrcal_to_a_part(metrocli: Metrocli, tmp_path: Path) -> None:
     """Calibrated with the model spline, written for mrcal and read again; without noise the part is where it was."""
     rig.write_jobs(tmp_path, None, ("wide",))

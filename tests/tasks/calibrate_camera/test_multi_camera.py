@@ -247,6 +247,7 @@ def test_points_of_a_network_are_placed_by_all_cameras(tmp_path: Path, metrocli:
         assert len(known) == 30 and known["rays"].min() >= 2
 
 
+@pytest.mark.slow
 def test_the_shape_of_one_lens_is_found_among_two(tmp_path: Path, metrocli: Metrocli) -> None:
     """A bump of 1 px in the images of the left camera; the right one is asked for its shape and has none."""
     images = seen(16)

@@ -42,7 +42,7 @@ def test_each_reading_has_the_lens_of_its_camera_and_its_derivatives() -> None:
 
 
 def test_the_uncertainties_of_a_pinhole_and_a_fisheye_are_honest() -> None:
-    each = np.concatenate([z_of_rig(number) for number in (2, 8, 14, 5)])
+    each = np.concatenate([z_of_rig(number) for number in (2, 8)])
     assert 0.8 < np.sqrt(np.mean(each**2)) < 1.2
 
 

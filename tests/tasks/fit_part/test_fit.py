@@ -24,11 +24,11 @@ SCALE = np.array([1.0, 1.0, 1.0, 1e-3, 1e-3, 1e-3])
 _FITTED: dict[object, Result] = {}
 
 
-def fitted(job: Path, metrocli: Metrocli) -> Result:
-    """Fit a casting, unless the result of the same job and points is known."""
-    key = job.read_bytes(), (job.parent / "points.csv").read_bytes()
+def fitted(job: Path, metrocli: Metrocli, *options: str) -> Result:
+    """Fit a part, unless the result of the same files and options is known."""
+    key = *(path.read_bytes() for path in sorted(job.parent.iterdir()) if path.suffix != ".h5"), options
     if key not in _FITTED:
-        ran = metrocli("fit-part", job, "--force")
+        ran = metrocli("fit-part", job, "--force", *options)
         assert ran.code == 0, ran.err
         _FITTED[key] = hdf5.read(job.parent / "part.h5")[0]
     return _FITTED[key]
