@@ -14,8 +14,9 @@ def folder(tmp_path: Path, straight_line: str, monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.chdir(tmp_path)
 
 
+@pytest.mark.slow
 def test_random_changes_run_what_has_to_run() -> None:
-    assert pipeline.changes(8, seed=1) == (0, 0, 0)
+    assert pipeline.changes(12, seed=1) == (0, 0, 0)
 
 
 def test_damaged_bits_are_not_believed_and_healed() -> None:
