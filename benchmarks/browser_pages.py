@@ -15,7 +15,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
@@ -66,20 +66,21 @@ class Seen:
         yield from (f"{one['path']}: {one['paper']} px wider than A4" for one in self.plain if one["paper"] > 0)
 
 
-def reported(sample: str, folder: Path) -> list[Path]:
-    """Run a sample project in a folder and return its pages."""
+def reported(sample: str, folder: Path, change: Callable[[Path], None] = lambda place: None) -> list[Path]:
+    """Run a sample project in a folder, changed before if wanted, and return its pages."""
     place = folder / sample
     assert run(["init", str(place), "--sample", sample]) == 0
+    change(place)
     assert run(["run", str(place), "--quiet"]) == 0
     assert run(["report", str(place), "--quiet"]) == 0
     return sorted((place / "report").glob("*.html"))
 
 
-def seen(paths: Sequence[Path], folder: Path) -> Seen:
-    """Open pages at all widths and with scripts off, by one browser whose profile is in a folder."""
+def seen(paths: Sequence[Path], folder: Path, widths: Sequence[int] = WIDTHS) -> Seen:
+    """Open pages at some widths and with scripts off, by one browser whose profile is in a folder."""
     axe = (files("axe_core_python") / "axe.min.js").read_text(encoding="utf-8")
     checks = Path(__file__).with_name("browser_checks.js").read_text(encoding="utf-8")
-    wanted = ([str(path) for path in paths], WIDTHS, axe)
+    wanted = ([str(path) for path in paths], widths, axe)
     given = ", ".join(json.dumps(one).replace("</", "<\\/") for one in wanted)
     wrapper = folder / "wrapper.html"
     wrapper.write_text(f"<body><script>{checks}\nreported({given});</script></body>", encoding="utf-8")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import time
 from collections.abc import Callable, Iterator
@@ -17,10 +18,21 @@ from metrocli import tasks
 settings.register_profile("repeatable", derandomize=True, max_examples=25)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "repeatable"))
 
+# Searching for cycles would take most of the time in which the laws parse all modules.
+gc.set_threshold(100_000, 20, 100)
+
 LONGEST = 8.0
 """CPU seconds of a test from which it is to be marked slow"""
 READINGS = "point,x_mm,y_um\na,0,1000\nb,1000,2000\nc,2000,3100\nd,3000,3900\n"
 JOB = "metrocli: 1\njob: straight-line\ninputs: {readings: readings.csv}\nnoise: 0.1 mm\n"
+
+
+@pytest.fixture(scope="session", autouse=True)
+def no_waiting_for_disks() -> Iterator[None]:
+    """Leave files in the memory of the system: no test here ends its power."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(os, "fsync", lambda handle: None)
+        yield
 
 
 @pytest.fixture

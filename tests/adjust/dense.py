@@ -37,9 +37,10 @@ def entries(blocks: Mapping[str, Block]) -> list[tuple[str, int, int]]:
 def moved(blocks: Mapping[str, Block], places: Sequence[tuple[str, int, int]], step: Array) -> dict[str, Block]:
     """Blocks after a step of the named entries."""
     steps = {name: np.zeros(block.values.shape) for name, block in blocks.items()}
-    for (name, i, j), amount in zip(places, step, strict=True):
-        steps[name][i, j] = amount
-    return {name: block.moved(steps[name]) for name, block in blocks.items()}
+    for at in np.flatnonzero(step):
+        name, i, j = places[at]
+        steps[name][i, j] = step[at]
+    return {name: block.moved(steps[name]) if steps[name].any() else block for name, block in blocks.items()}
 
 
 def sizes(blocks: Mapping[str, Block], places: Sequence[tuple[str, int, int]]) -> Array:

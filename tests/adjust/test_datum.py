@@ -85,6 +85,7 @@ def test_the_condition_holds(free: tuple[Problem, Solution]) -> None:
 OTHER = [3, 5, 8, 11, 20]
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize(
     ("members", "turn", "shift", "scale"),
     [

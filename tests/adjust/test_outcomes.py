@@ -222,6 +222,7 @@ def test_the_sum_of_squares_never_rises(make: str, seed: int) -> None:
     assert all(after <= before * (1 + 1e-12) for before, after in pairwise(costs))
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize("seed", range(6))
 def test_starts_far_off_end_in_the_same_place(seed: int) -> None:
     problem = board_camera()
@@ -243,6 +244,7 @@ def scaled(problem: Problem, factor: float) -> Problem:
     )
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize("factor", [1e-3, 1e3, 1e6])
 def test_units_change_nothing(factor: float) -> None:
     problem = board_camera()
@@ -256,6 +258,7 @@ def test_units_change_nothing(factor: float) -> None:
     assert parts(solved(scaled(parallel, factor))) == [{("lens", "f"), ("view", "z")}]
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize("factor", [1e-4, 1e-2, 10, 30])
 def test_a_wrong_noise_moves_no_value(factor: float) -> None:
     """The sigma that a job declares (1 where the noise is estimated) must not decide how far the steps go."""

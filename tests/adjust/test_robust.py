@@ -58,6 +58,7 @@ def cleaned(seen: Seen) -> Cleaned:
     return Cleaned(solution, rejected)
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize("seed", range(5))
 def test_mixed_up_targets_are_all_found(seed: int) -> None:
     """5 % of the readings carry the name of another target."""
@@ -75,6 +76,7 @@ def test_mixed_up_targets_are_all_found(seed: int) -> None:
     assert abs(f - best.blocks["lens"].values[0, 0]) < 0.5 * std
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize("size", [1.0, 3.0, 30.0])
 def test_small_and_large_errors_are_found(size: float) -> None:
     """Errors of 10, 30 and 300 standard deviations, in one direction."""

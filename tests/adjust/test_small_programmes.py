@@ -42,6 +42,7 @@ def test_contradicting_inequalities_have_no_solution() -> None:
     assert quadratic(np.eye(1), np.zeros(1), np.array([[1.0], [-1.0]]), np.array([1.0, 0.5])) is None
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize("seed", range(4))
 def test_the_highest_least_value_is_that_of_the_whole_programme(seed: int) -> None:
     rng = np.random.default_rng(seed)

@@ -5,7 +5,9 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -46,11 +48,12 @@ def test_a_network_of_lengths_loads_no_scipy(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "name", [pytest.param("calibrate-machine, lengths", marks=pytest.mark.slow), "calibrate-machine, standstill"]
 )
-def test_a_small_calibration_of_a_machine_loads_no_scipy(name: str, tmp_path: Path) -> None:
+def test_a_small_calibration_of_a_machine_loads_no_scipy(
+    name: str, tmp_path: Path, metrocli: Callable[..., Any]
+) -> None:
     job = tmp_path / "job.yaml"
     job.write_text(small_jobs.SIMULATED[name])
-    simulate = [sys.executable, "-m", "metrocli", "simulate", str(job), "--seed", "1", "--out", str(tmp_path / "made")]
-    subprocess.run(simulate, capture_output=True, check=True)
+    assert metrocli("simulate", job, "--seed", 1, "--out", tmp_path / "made").code == 0
     for file in (tmp_path / "made").glob("*.csv"):
         file.rename(tmp_path / file.name)
     script = IMPORTED.format(heavy=("scipy", *UNUSED))

@@ -21,7 +21,7 @@ def shell(line: str, folder: Path) -> tuple[int, str]:
 
 @pytest.mark.skipif(not FULL.exists(), reason="there is no /dev/full here")
 @pytest.mark.parametrize(
-    "arguments", ["--help", "--version", "check --help", "show absent.h5 --json", "effects --json"]
+    "arguments", ["--help", "--version", "check --help", "show absent.h5 --json", "schema multilaterate"]
 )
 def test_a_full_stdout_ends_with_3(arguments: str, tmp_path: Path) -> None:
     code, said = shell(f"{COMMAND} {arguments} > /dev/full", tmp_path)
@@ -30,7 +30,7 @@ def test_a_full_stdout_ends_with_3(arguments: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(not FULL.exists(), reason="there is no /dev/full here")
-@pytest.mark.parametrize("stream", ["2>&-", "2>/dev/full", ">&- 2>&-"])
+@pytest.mark.parametrize("stream", ["2>&-", pytest.param("2>/dev/full", marks=pytest.mark.slow), ">&- 2>&-"])
 def test_messages_that_nobody_can_read_change_no_exit_code(stream: str, tmp_path: Path) -> None:
     assert shell(f"{COMMAND} show absent.h5 {stream}", tmp_path) == (3, "")
     assert shell(f"{COMMAND} --no-such-option {stream}", tmp_path) == (2, "")

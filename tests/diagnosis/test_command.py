@@ -116,7 +116,7 @@ def test_json_has_the_keys_of_the_contract(folder: Path, metrocli: Metrocli) -> 
 
 
 def test_the_extended_job_runs_unmodified_and_is_clean(folder: Path, metrocli: Metrocli) -> None:
-    job = write(folder, measured("refraction-drift"))
+    job = write(folder, measured("tracer-scale"))
     before = job.read_text()
     assert metrocli("diagnose", job).code == 0
     assert job.read_text() == before
@@ -482,6 +482,7 @@ def test_a_direction_of_an_effect_that_nothing_shows_is_held_and_told(folder: Pa
     assert dz["value"] == 0 and all(part["std"] is None and part["unseen"] for part in (dx, dy, dz))
     assert abs(dx["value"] + 0.5) < 0.1 and abs(dy["value"] - 0.4) < 0.1
     assert data["noise"]["apart"] == []
+    assert " ".join(metrocli("diagnose", "job.yaml").out.split()).count("mm (not seen)") >= 3
     assert metrocli("align-part", data["extended_job"]).code == 0
     assert json.loads(metrocli("diagnose", data["extended_job"], "--json").out)["verdict"] == "clean"
 
@@ -543,7 +544,7 @@ def test_with_four_tracers_a_wrong_length_cannot_be_identified(folder: Path, met
 
 
 def test_with_six_tracers_a_wrong_length_is_identified(folder: Path, metrocli: Metrocli) -> None:
-    (wrong,) = json.loads(metrocli("diagnose", with_wrong_length(folder, 6, "P7", "T2"), "--json").out)["outliers"]
+    (wrong,) = json.loads(metrocli("diagnose", with_wrong_length(folder, 6, "P7", "T2"), "--quick", "--json").out)["outliers"]
     assert (wrong["observation"]["point"], wrong["observation"]["tracer"], wrong["or"]) == ("P7", "T2", [])
 
 

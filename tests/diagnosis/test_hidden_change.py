@@ -52,6 +52,7 @@ def test_what_is_not_found_moves_no_point_farther_than_stated(name: str, paramet
     assert missed <= MISSED
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize("noise", [1.0, 300.0])
 def test_the_change_that_is_stated_is_that_of_its_size(noise: float) -> None:
     """An effect of one parameter: the size at 95 % power is the one at 80 % times the ratio of the quantiles.

@@ -60,9 +60,8 @@ WRONG = {
 }
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=() if "inches" in name else pytest.mark.slow) for name in WRONG]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("name", WRONG)
 def test_the_mistake_is_told(name: str) -> None:
     key, spoil, words = WRONG[name]
     inputs = files()

@@ -23,12 +23,14 @@ def cases(kind: str, scenario: str) -> Iterator[Case]:
     return KINDS[kind].cases(count(), scenario, small=True)
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize("kind", EACH_KIND)
 def test_where_nothing_is_hidden_the_verdict_is_clean(kind: str) -> None:
     found = rates.found(next(cases(kind, "nothing")))
     assert found.diagnosis.verdict == Verdict.CLEAN and not found.diagnosis.findings
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize("kind", EACH_KIND)
 def test_a_known_effect_is_named(kind: str) -> None:
     case = next(case for case in cases(kind, "an effect of 3x") if case.hidden[0].distinct)

@@ -44,6 +44,7 @@ def test_a_wrong_angle_is_no_bad_pose() -> None:
     assert wrong["observation"]["reading"] == "phi3" and wrong["or_effects"] == []
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize("number", [302, 1582])
 def test_one_wrong_coordinate_is_no_bad_pose_nor_a_moved_target(number: int) -> None:
     """An image of two targets, or a target in one image: the effect explains the coordinate, and so does the error."""

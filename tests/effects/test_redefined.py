@@ -64,6 +64,7 @@ def solved(model: Model, data: Model) -> Solution:
     return adjust(model.blocks.values(), groups, model.datum)
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize("one", REDEFINED, ids=NAMES)
 def test_estimates_and_covariances_are_those_of_the_built_in_effect(one: Redefined) -> None:
     built, own = built_of(one), own_of(one)
@@ -93,6 +94,7 @@ def near(covariance: Array, expected: Array) -> None:
     assert np.abs(covariance - expected).max(initial=0.0) <= AGREE * np.abs(expected).max(initial=0.0)
 
 
+@pytest.mark.slow
 def test_the_verdict_is_that_of_the_built_in_effect() -> None:
     """The diagnosis of a drift, once with the built-in effect in the table and once with the own one in its place."""
     one = next(one for one in REDEFINED if one.name == "dead-path-drift")

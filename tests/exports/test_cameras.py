@@ -6,7 +6,7 @@ import ast
 import json
 import re
 import subprocess
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -229,22 +229,27 @@ def test_pycolmap_projects_as_the_result_does() -> None:
 
 MRCAL_PROJECTS = """
 import json, sys, mrcal, numpy
-work = json.load(sys.stdin)
-model = mrcal.cameramodel(work["file"])
-print(json.dumps(mrcal.project(numpy.array(work["points"]), *model.intrinsics()).tolist()))
+models = [(mrcal.cameramodel(file), numpy.array(points)) for file, points in json.load(sys.stdin)]
+print(json.dumps([mrcal.project(points, *model.intrinsics()).tolist() for model, points in models]))
 """
 
 
-def test_mrcal_projects_as_the_result_does(tmp_path: Path) -> None:
+def mrcal_projects(folder: Path, names: Iterable[str]) -> dict[str, tuple[Path, Array]]:
+    """The files of some lenses, and the image points that mrcal gives with them; one process for all, for its imports."""
     python = python_with("mrcal")
     if python is None:
         pytest.skip("no Python of this machine has mrcal (Debian: python3-mrcal)")
-    for name in sorted(HELD["mrcal"]):
-        file, seen = tmp_path / f"{name.replace(' ', '-')}.cameramodel", points(name)
+    files = {name: folder / f"{name.replace(' ', '-')}.cameramodel" for name in names}
+    for name, file in files.items():
         file.write_text(written("mrcal", name))
-        work = json.dumps({"file": str(file), "points": seen.tolist()})
-        done = subprocess.run([python, "-c", MRCAL_PROJECTS], input=work, capture_output=True, text=True, check=True)
-        assert np.abs(np.array(json.loads(done.stdout)) - ours(name, seen)).max() < 1e-9
+    work = json.dumps([(str(file), points(name).tolist()) for name, file in files.items()])
+    done = subprocess.run([python, "-c", MRCAL_PROJECTS], input=work, capture_output=True, text=True, check=True)
+    return dict(zip(files, zip(files.values(), map(np.array, json.loads(done.stdout)), strict=True), strict=True))
+
+
+def test_mrcal_projects_as_the_result_does(tmp_path: Path) -> None:
+    for name, (_, found) in mrcal_projects(tmp_path, sorted(HELD["mrcal"])).items():
+        assert np.abs(found - ours(name, points(name))).max() < 1e-9
 
 
 @pytest.mark.parametrize(

@@ -176,6 +176,7 @@ def test_a_file_is_what_its_manual_asks_for_line_by_line(name: str) -> None:
     assert all(line in written for line in lines), texts[file]
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize("name", CONTROLS)
 @pytest.mark.parametrize("order", ORDERS)
 def test_a_round_trip_leaves_the_rounding(name: str, order: str) -> None:
@@ -187,6 +188,7 @@ def test_a_round_trip_leaves_the_rounding(name: str, order: str) -> None:
         assert np.abs(carried.at(places_of(carried))).max() > 10 * control.promised(texts)
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize("name", CONTROLS)
 @pytest.mark.parametrize("size", [1.0, 10.0])
 def test_machines_of_all_sizes_are_written(name: str, size: float) -> None:

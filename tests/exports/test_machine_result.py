@@ -42,6 +42,7 @@ def true_error(machine: sim.Machine, places: Array) -> Array:
     return np.array([machine.first_order(place, tool) for place in places])
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize("control", RIGHT)
 @pytest.mark.parametrize("tools", [1, 3])
 def test_the_control_cancels_the_true_error(control: str, tools: int) -> None:

@@ -14,6 +14,7 @@ from metrocli.cli.commands import commands
 SMALL = ("gauge-block", "ball-cube")
 
 
+@pytest.mark.slow
 def test_no_mutated_project_ends_in_a_traceback() -> None:
     assert fuzz.campaign(60, seed=18, most=12, names=SMALL) == []
 

@@ -185,9 +185,9 @@ FITS = [
 
 GRID = [
     Row("the balls{} are read {} mm apart, the pitch is {} mm: is the pitch or a unit of the file wrong?", "ball-cube", CUBE,
-        {"jobs/views.yaml": put("pitch: 65 mm", "pitch: 32.5 mm")}, {"jobs/views.yaml": put("pitch: 65 mm", "pitch: 65.1 mm")}, DONE),
+        {"jobs/views.yaml": put("pitch: 65 mm", "pitch: 32.5 mm")}, {"jobs/views.yaml": put("pitch: 65 mm", "pitch: 65.1 mm")}, DONE, slow=True),
     Row("{} are exchanged: the readings fit the balls the other way round", "ball-cube", CUBE, {VIEWS: put("view,i,j,k", "view,j,i,k")},
-        {VIEWS: put("1,-2,-2,-1", "1,-2,-1,-2")}, "where ball (-2, -2, -1) stands", "i and j"),
+        {VIEWS: put("1,-2,-2,-1", "1,-2,-1,-2")}, "where ball (-2, -2, -1) stands", "i and j", slow=True),
     Row("{} {}: the readings fit balls of the opposite sign", "ball-cube", CUBE, {VIEWS: times(-1, "z_mm")},
         {VIEWS: times(1.0001, "z_mm")}, DONE, "z", slow=True),
     Row("views '{}' and '{}' are exchanged", "ball-cube", CUBE, {VIEWS: exchanged("view", "1", "2")},
@@ -267,7 +267,7 @@ CAMERAS = [
     Row("the readings fit no pose", "align", "align-part job.yaml", {"poses.csv": times(-1, "y_mm")}, {"observations.csv": cells("u_px", lambda u: float(u) + 0.01)}, "status: "),
     Row("half of the points of image {} are off by more than {} px", "relief", CAMERA, {SEEN: cells("u_px", lambda u: 639 - float(u), "view3.png")},
         {SEEN: cells("u_px", lambda u: float(u) + 0.2, "view3.png")}, "status: ", slow=True),
-    Row("the lens is a fisheye: that model leaves residuals of {} px (rms), this one {} px", "fisheye", CAMERA, {}, {"job.yaml": put("camera: {", "camera: {model: fisheye, ")}, DONE),
+    Row("the lens is a fisheye: that model leaves residuals of {} px (rms), this one {} px", "fisheye", CAMERA, {}, {"job.yaml": put("camera: {", "camera: {model: fisheye, ")}, DONE, slow=True),
     Row("Did a camera move?", "two-cameras", CAMERA, {SEEN: then(*(cells("u_px", lambda u, k=k: float(u) + 9 * k, f"right{k}.png") for k in range(10)))},
         {SEEN: then(by(r"right8\.png", "right.png"), by(r"right9\.png", "right8.png"), by(r"right\.png", "right9.png"))}, "were not taken with", slow=True),
     Row("check the dictionary, or is there no board?", "charuco", CAMERA, {"job.yaml": put("view*", "blank*")}, {"job.yaml": put("4x4_50", "5x5_50")}, "with `dictionary: 4x4_250`"),

@@ -60,6 +60,7 @@ def xml(axes: str, clockwise: bool, sexagesimal: bool) -> tuple[str, Array]:
     return f"{head}\n{body}\n</points-observations></network></gama-local>", x
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize(
     ("axes", "clockwise", "sexagesimal"), [("ne", True, False), ("en", False, True), ("sw", True, True)]
 )

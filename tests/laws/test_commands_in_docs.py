@@ -32,7 +32,7 @@ SAMPLE = {
 COMPARED: set[tuple[str, ...]] = set()
 """Comparisons that have run: the same on two pages runs once"""
 PAGES = [ROOT / "README.md", *sorted(DOCS.rglob("*.md")), *sorted(SAMPLES.rglob("README.md"))]
-SHORT = {"README.md", "docs/tasks/report-uncertainty.md"}
+SHORT = {"README.md"}
 """Pages whose commands always run; the others are slow, since their samples run"""
 COMMAND = re.compile(r"^ {4}((?:metrocli|cd|cat|make|python -m benchmarks) .*)$")
 INLINE = re.compile(r"`((?:metrocli [a-z-]+ |make |python -m benchmarks)[^`]*)`", re.DOTALL)

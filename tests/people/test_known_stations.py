@@ -44,6 +44,7 @@ def test_equal_distances_are_a_warning(case: Case, metrocli: Metrocli) -> None:
     assert "all lengths are equal" in metrocli("show", "r.h5").err
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize("start", ["points", "points_prior", "points_same"])
 def test_any_start_leads_to_the_points(case: Case, metrocli: Metrocli, start: str) -> None:
     case("03-rough-starts")

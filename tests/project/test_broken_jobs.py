@@ -86,7 +86,7 @@ BROKEN = {
 
 
 @pytest.mark.parametrize("name", BROKEN)
-@pytest.mark.parametrize("command", ["check", "straight-line"])
+@pytest.mark.parametrize("command", ["check", pytest.param("straight-line", marks=pytest.mark.slow)])
 def test_a_broken_job_is_refused_in_its_place(
     name: str, command: str, job: Path, metrocli: Callable[..., object]
 ) -> None:

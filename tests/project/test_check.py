@@ -18,6 +18,7 @@ from metrocli.project import runner
 SAMPLES = sorted(path.parent.name for path in (ROOT / "sample_projects").glob("*/metrocli.yaml"))
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize("name", SAMPLES)
 def test_a_project_is_checked_before_its_first_run(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, metrocli: Callable[..., Any]

@@ -325,6 +325,7 @@ with ending(), atomic_write(Path(sys.argv[1])) as aside:
 """
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_a_signal_ends_what_hangs_and_takes_back_what_was_begun(number: int, tmp_path: Path) -> None:
     process = subprocess.Popen(

@@ -119,7 +119,8 @@ def test_another_outcome_is_stated(project: Path, metrocli: Callable[..., Any], 
     assert (ran.code, "is another one" in ran.out) == (6, True)
 
 
-@pytest.mark.parametrize("workers", [1, 2])
+@pytest.mark.alike
+@pytest.mark.parametrize("workers", [2, 1])
 def test_monte_carlo_is_the_same_with_any_workers(workers: int, tmp_path: Path, metrocli: Callable[..., Any]) -> None:
     shutil.copytree(SAMPLES / "gauge-block", tmp_path / "g", ignore=shutil.ignore_patterns("results"))
     assert metrocli("report-uncertainty", tmp_path / "g/jobs/gum.yaml").code == 0

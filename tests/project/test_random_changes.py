@@ -14,14 +14,16 @@ def folder(tmp_path: Path, straight_line: str, monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.chdir(tmp_path)
 
 
+@pytest.mark.slow
 def test_random_changes_run_what_has_to_run() -> None:
     assert pipeline.changes(12, seed=1) == (0, 0, 0)
 
 
 def test_damaged_bits_are_not_believed_and_healed() -> None:
-    assert pipeline.damages(12, seed=1)[:2] == (0, 0)
+    assert pipeline.damages(6, seed=1)[:2] == (0, 0)
 
 
+@pytest.mark.slow
 def test_the_account_sees_a_lie(monkeypatch: pytest.MonkeyPatch) -> None:
     """If neither jobs nor inputs counted, results would be wrongly up to date."""
     monkeypatch.setattr("metrocli.project.fingerprint.changed_inputs", lambda *arguments: [])

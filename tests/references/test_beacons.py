@@ -24,6 +24,7 @@ def test_beacons_are_where_they_were_surveyed(drive: str) -> None:
     assert scale["value"] == pytest.approx(0.069, abs=3e-3) and scale["std"] < 1e-3
 
 
+@pytest.mark.slow
 @DRIVES
 def test_without_the_scale_they_are_not(drive: str) -> None:
     """Or the test above would pass without the effect; sigma0 tells that the model is wrong."""

@@ -28,6 +28,7 @@ output: result.h5
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("run", "before", "after"),
     [pytest.param("plaza1", "0.83 m", "0.36 m", marks=pytest.mark.slow), ("plaza2", "1.34 m", "0.38 m")],

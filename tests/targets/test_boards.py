@@ -137,6 +137,7 @@ def test_wrong_orders_are_noticed() -> None:
     assert "flat board" in order_fault(steps, shifted)
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize("pattern", [CHESS, CHARUCO, APRIL, CIRCLES, SHIFTED])
 def test_an_image_without_the_board(pattern: Pattern) -> None:
     noise = np.random.default_rng(7).integers(0, 256, (240, 320)).astype(np.uint8)

@@ -30,14 +30,14 @@ NAMED = {
 
 @cache
 def pictures(kind: str) -> list[Picture]:
-    """Two tilted views of a board."""
+    """A tilted view of a board; that most of several images decide is tested with the jobs."""
     found, middle = [], pattern_points(BOARDS[kind])[1].mean(axis=0)
 
     def rays(uv: Array) -> Array:
         seen = np.column_stack([(uv - [320, 240]) / 640, np.ones(len(uv))])
         return np.asarray(seen / np.linalg.norm(seen, axis=1, keepdims=True))
 
-    for seed in range(2):
+    for seed in range(1):
         rng = np.random.default_rng(seed)
         turn = Rotation.from_euler("zxy", [rng.uniform(-0.3, 0.3), *rng.uniform(-0.35, 0.35, 2)]).as_matrix()
         scene = [render.PlacedDrawing(drawings.board(BOARDS[kind]), turn, np.array([0, 0, 420.0]) - turn @ middle)]

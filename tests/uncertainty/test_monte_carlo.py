@@ -48,6 +48,7 @@ def same(a: MonteCarloResult, b: MonteCarloResult) -> bool:
     )
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize("trials", [12_345, 1_000_000, 2_300_000, None])
 def test_the_same_bits_whatever_the_number_of_workers(trials: int | None) -> None:
     plan = plan_of(MODELS, inputs(), 3, 0.95, trials)

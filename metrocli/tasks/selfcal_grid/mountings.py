@@ -27,6 +27,12 @@ _DOUBTFUL = 0.005
 """Warn if the distance of neighbouring balls differs from the pitch by more than this share"""
 _OFF_SITE = 0.05
 _MOST = 20
+_ONTO_ITSELF = tuple(
+    np.eye(3)[list(order)] * np.array(signs)[:, None]
+    for order in permutations(range(3))
+    for signs in product((1.0, -1.0), repeat=3)
+)
+"""The 48 matrices that bring the grid onto itself"""
 
 
 @dataclass(frozen=True)
@@ -102,12 +108,7 @@ def _affine(balls: Array, values: Array) -> Array:
 
 def _nearest(matrix: Array) -> Array:
     """Return the nearest of the 48 matrices that bring the grid onto itself."""
-    every = [
-        np.eye(3)[list(order)] * np.array(signs)[:, None]
-        for order in permutations(range(3))
-        for signs in product((1.0, -1.0), repeat=3)
-    ]
-    return max(every, key=lambda one: float((one * matrix).sum()))
+    return max(_ONTO_ITSELF, key=lambda one: float((one * matrix).sum()))
 
 
 def _other_pitch(readings: GridReadings, observed: list[Observed | None], pitch: float) -> list[str]:

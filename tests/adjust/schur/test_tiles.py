@@ -191,6 +191,7 @@ def test_chunks_end_between_points() -> None:
                for chunk, row in zip(chunks, rows, strict=True))  # fmt: skip
 
 
+@pytest.mark.alike
 @EACH
 def test_the_covariance_of_a_point_with_its_readings(case: str, way: str) -> None:
     """In tiles as from the covariances of all pairs of a point and what a reading touches, for every datum."""
@@ -242,6 +243,7 @@ def test_nothing_but_points_is_free() -> None:
             assert np.array_equal(known.pairs(one, index, other, index), np.zeros(shape))
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize("off", [1e-3, 1.0, 30.0])
 @pytest.mark.parametrize("m", [4, 6])
 def test_the_last_step_leaves_nothing_to_go(m: int, off: float) -> None:

@@ -23,6 +23,7 @@ def lattice(shape: tuple[int, ...], seed: int) -> tuple[csr_array, np.ndarray]:
     )
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize("shape", [(1, 1), (7, 3), (30, 30), (9, 9, 9), (900, 1), (1, 1, 400)])
 def test_it_solves_and_inverts(shape: tuple[int, ...]) -> None:
     matrix, places = lattice(shape, 1)
@@ -61,6 +62,7 @@ def test_a_cut_takes_no_more_unknowns_than_its_couplings_need() -> None:
     assert max(len(front.border) for front in fronts) <= 2
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize("seed", range(6))
 def test_it_inverts_where_places_say_nothing_of_couplings(seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -106,6 +108,7 @@ def test_parts_without_connection_and_shared_places() -> None:
     assert np.allclose(cholesky.inverse(matrix).toarray()[400:, 400:], np.linalg.inv(second), atol=1e-12)
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize(("shape", "lone"), [((30, 20), 5), ((60, 20), 7), ((40, 25), 9)])
 def test_a_part_without_connection_inside_a_side_of_a_cut(shape: tuple[int, int], lone: int) -> None:
     """Cut in the middle first: the lone rows of one side then touch nothing that is eliminated later."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -32,6 +33,9 @@ def lengths(metrocli: Metrocli, folder: Path) -> tuple[Path, Path, str]:
     metrocli("init", folder / "lab", "--sample", "laboratory-effects")
     (folder / "lab" / "metrocli.yaml").unlink()
     job = folder / "lab" / "jobs" / "hall.yaml"
+    for name in ("points", "lengths"):  # of half of its places
+        rows = (file := folder / "lab" / "data" / f"{name}.csv").read_text().splitlines(keepends=True)
+        file.write_text("".join(row for row in rows if not re.match(r"P(2[1-9]|3|40)", row)))
     job.write_text(job.read_text() + "simulation: {tracer_error: 1 mm}\n")
     assert metrocli("simulate", job, "--seed", 4, "--out", folder / "made").code == 0
     job.write_text(job.read_text().replace("lengths: ../data/lengths.csv", "lengths: made.csv"))

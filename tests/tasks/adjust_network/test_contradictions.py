@@ -17,7 +17,7 @@ Metrocli = Callable[..., Any]
 
 
 def hall(seed: int = 5) -> Network:
-    return network(np.random.default_rng(seed), stations=3, points=16, mixed=True)
+    return network(np.random.default_rng(seed), stations=3, points=12, mixed=True)
 
 
 def length(net: Network) -> Network:

@@ -92,6 +92,7 @@ def test_a_mistake_is_found_and_its_correction_fits(
     assert (found["verdict"], found["mistake"]["what"]) == ("mistaken", words)
 
 
+@pytest.mark.slow
 def test_exchanged_points_are_found_beside_one_that_moved(tmp_path: Path, metrocli: Metrocli) -> None:
     """A point that moved calls for a robust start: the steps of a try last for it and for the adjustment."""
     net = network(np.random.default_rng(57), 4, 20, faces=2)

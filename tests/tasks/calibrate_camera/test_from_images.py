@@ -22,6 +22,8 @@ MATRIX = np.array([[700.0, 0, 320], [0, 700, 235], [0, 0, 1]])
 def images(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Six images of a chessboard with 7 x 5 inner corners, by homographies of a drawing."""
     monkeypatch.chdir(tmp_path)
+    # where another board is sought: markers of all dictionaries take seconds an image
+    monkeypatch.setattr("metrocli.targets.charuco.DICTIONARIES", ("4x4_250",))
     (tmp_path / "img").mkdir()
     cell, margin = 40, 40
     board = np.full((6 * cell + 2 * margin, 8 * cell + 2 * margin), 230, np.uint8)

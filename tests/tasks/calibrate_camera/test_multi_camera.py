@@ -247,6 +247,7 @@ def test_points_of_a_network_are_placed_by_all_cameras(tmp_path: Path, metrocli:
         assert len(known) == 30 and known["rays"].min() >= 2
 
 
+@pytest.mark.slow
 def test_the_shape_of_one_lens_is_found_among_two(tmp_path: Path, metrocli: Metrocli) -> None:
     """A bump of 1 px in the images of the left camera; the right one is asked for its shape and has none."""
     images = seen(16)
@@ -289,6 +290,7 @@ def test_a_truth_that_is_not_that_of_the_cameras_is_refused(
     assert ran.code == 3 and words in ran.err, ran.err
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize(
     ("lens", "told"),
     [(", cx: 460 px, estimate: [f, cy, k1, k2]", "right: the principal point is held at"), ("", "")],

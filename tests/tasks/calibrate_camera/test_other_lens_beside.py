@@ -42,7 +42,7 @@ def test_each_reading_has_the_lens_of_its_camera_and_its_derivatives() -> None:
 
 
 def test_the_uncertainties_of_a_pinhole_and_a_fisheye_are_honest() -> None:
-    each = np.concatenate([z_of_rig(number) for number in (2, 8, 14, 5)])
+    each = np.concatenate([z_of_rig(number) for number in (2, 8)])
     assert 0.8 < np.sqrt(np.mean(each**2)) < 1.2
 
 
@@ -87,11 +87,13 @@ def test_they_are_exported_and_compared_each_by_its_model(rig: Path, metrocli: M
     assert "left, over the image after the best rotation" in told and "wide, over the image" in told
 
 
+@pytest.mark.slow
 def test_nothing_is_found_where_nothing_is_hidden(rig: Path, metrocli: Metrocli) -> None:
     found = json.loads(metrocli("diagnose", "rig.yaml", "--json").out)
     assert found["verdict"] == "clean" and not found["effects"]
 
 
+@pytest.mark.slow
 def test_a_fisheye_that_a_pinhole_nearly_fits_is_named_beside_an_estimated_noise(
     tmp_path: Path, metrocli: Metrocli, monkeypatch: pytest.MonkeyPatch
 ) -> None:

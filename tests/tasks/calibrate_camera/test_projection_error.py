@@ -63,6 +63,7 @@ def test_a_distorted_lens_moves_as_with_the_derivatives_of_opencv() -> None:
     assert found == pytest.approx(wanted, rel=0.01)
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize("rig", ["board", "network"])
 def test_poses_of_images_have_the_covariance_of_both_poses(rig: str) -> None:
     """Derivatives by differences: two exposures, two cameras, a covariance at random."""

@@ -65,6 +65,7 @@ def waved(x: Array, y: Array) -> Array:
     return 420 * np.stack([x + 0.006 * np.sin(9 * y), y - 0.006 * np.sin(8 * x)])
 
 
+@pytest.mark.slow
 def test_a_fisheye_as_pinhole_is_doubtful(tmp_path: Path, metrocli: Metrocli) -> None:
     ran = metrocli("calibrate-camera", board(tmp_path, fisheye, 125.0))
     assert ran.code == 6 and "the lens is a fisheye" in ran.out

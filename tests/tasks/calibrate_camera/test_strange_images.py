@@ -44,6 +44,7 @@ def words(job: Job[Settings, Files]) -> str:
     return "\n".join(result.doubts)
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize("seed", range(3))
 def test_an_image_with_names_in_another_order_is_named(seed: int) -> None:
     text = words(measured(seed, wrong=True))

@@ -25,6 +25,7 @@ def clean() -> list[Path]:
     return [case for case in sorted(CASES.iterdir()) if not json.loads((case / "truth.json").read_text())["effects"]]
 
 
+@pytest.mark.alike
 @absent
 @pytest.mark.parametrize("case", clean(), ids=lambda case: case.name)
 def test_tables_are_true_within_their_uncertainty(case: Path) -> None:

@@ -168,6 +168,7 @@ AT_REST = [
 MOVING = [pytest.param(FLIGHT, key, *found, marks=pytest.mark.slow) for key, found in (PLANTED | IN_MOTION).items()]
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize("text, planted, wanted, truth", AT_REST + MOVING)
 def test_an_effect_that_is_planted_is_estimated(
     folder: Path, text: str, planted: str, wanted: str, truth: dict[str, float], metrocli: Metrocli

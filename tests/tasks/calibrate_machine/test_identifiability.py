@@ -33,6 +33,7 @@ def identified(order: str, tools: dict[str, tuple[float, ...]], knots: tuple[int
     )
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize(
     ("tools", "missing"),
     [(sim.ONE, 40), (ALONG_Z, 20), (SKEW, 10), (sim.THREE, 0)],
@@ -54,6 +55,7 @@ def test_one_tool_on_xyz() -> None:
     assert found.open_tools == ()
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize("order", ["".join(order) for order in permutations("XYZ")])
 def test_one_tool_leaves_the_angles_of_the_last_axis_and_one_of_the_next(order: str) -> None:
     """The three angles of the axis nearest to the tool, and the next axis' angle about that axis' direction."""

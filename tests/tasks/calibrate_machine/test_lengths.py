@@ -170,6 +170,7 @@ def test_one_tool_leaves_four_tables_open_and_another_tool_is_not_predicted() ->
     assert np.sqrt(((miss / found.std.T) ** 2).mean()) == pytest.approx(1, abs=0.35)
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize("together", [False, True])
 def test_the_repeatability_is_estimated_with_its_uncertainty(together: bool) -> None:
     scores, z = [], []

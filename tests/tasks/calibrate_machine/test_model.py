@@ -35,6 +35,7 @@ def engine(machine: sim.Machine, positions: Array, tool: Array) -> Array:
     return Group("", Chain(motion(model)), observations).chain.predict(blocks, observations).T
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize("bed", range(4))
 @pytest.mark.parametrize("order", ORDERS)
 def test_what_the_formula_leaves_of_exact_transforms_is_of_second_order(order: str, bed: int) -> None:

@@ -59,6 +59,7 @@ WRONG = {
 }
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize("wrong", WRONG)
 def test_a_wrong_setting_makes_the_result_doubtful(wrong: str, job: Path, metrocli: Metrocli) -> None:
     """Chi-square is as expected in all of these: the repeatability is larger instead."""
@@ -68,9 +69,8 @@ def test_a_wrong_setting_makes_the_result_doubtful(wrong: str, job: Path, metroc
     assert hdf5.read(job.parent / "result.h5")[0].statistics["sigma0"] == pytest.approx(1, abs=0.01)
 
 
-@pytest.mark.parametrize(
-    "wrong", [pytest.param(one, marks=pytest.mark.slow if "tools" in one else ()) for one in WRONG]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("wrong", WRONG)
 def test_diagnose_calls_a_wrong_setting_a_mistake(wrong: str, job: Path, metrocli: Metrocli) -> None:
     ran = metrocli("diagnose", job, "--set", wrong, "--json")
     found = json.loads(ran.out)

@@ -81,6 +81,7 @@ def visited(text: str) -> list[tuple[dict[str, float], str]]:
     return found
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize("kind", ["table-table", "head-table"])
 def test_a_program_stands_off_each_ball_along_the_tool(tmp_path: Path, metrocli: Metrocli, kind: str) -> None:
     """The place of the tip is found by 4 x 4 matrices that share nothing with the program."""

@@ -26,7 +26,7 @@ MISTAKES: dict[str, tuple[str, Edit, str]] = {
     "twice": ("data/after.csv", lambda text: text + "".join(text.splitlines(keepends=True)[1:]), "remove the copy"),
     "half a turn": ("jobs/after.yaml", put("[0 deg, 360 deg]", "[-180 deg, 180 deg]"), "or `periodic: true`"),
 }
-SLOW = ("c in gon", "headings", "order", "tool")
+SLOW = ("c in radians", "c in gon", "headings", "order", "tool")
 
 
 @pytest.mark.parametrize("name", [pytest.param(one, marks=pytest.mark.slow if one in SLOW else ()) for one in MISTAKES])

@@ -69,6 +69,7 @@ def pose(machine: sim.Machine, read: dict[str, Any], row: int) -> dict[str, floa
     }
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize(("kind", "sensor"), [("table-table", "bed"), ("head-head", "bed"), ("head-table", "tool")])
 def test_a_probe_finds_each_ball_at_one_place_of_the_workpiece(
     kind: str, sensor: str, tmp_path: Path, metrocli: Metrocli

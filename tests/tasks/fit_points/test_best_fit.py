@@ -92,7 +92,7 @@ def test_rounding_is_no_noise() -> None:
     assert noisy.estimates[0].std > 1e-10 and not noisy.warnings
 
 
-@pytest.mark.parametrize("draws", [60, pytest.param(200, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("draws", [40, pytest.param(200, marks=pytest.mark.slow)])
 def test_stated_uncertainties_hold(draws: int) -> None:
     """Draws with noise in both lists: z of the transformation and of the moved points is about 1."""
     z: list[Array] = []

@@ -71,6 +71,7 @@ def agree(result: Result, expected: tuple[Array, Array, Array, Array]) -> None:
     assert np.abs((result.covariance - covariance) / np.outer(std, std)).max() < 1e-6
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize("scaled", [False, True])
 @pytest.mark.parametrize("joint", [False, True])
 def test_covariances_of_both_lists(joint: bool, scaled: bool) -> None:

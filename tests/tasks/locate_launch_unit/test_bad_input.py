@@ -101,7 +101,7 @@ MISREAD: dict[str, tuple[Callable[[Poses], Poses], str]] = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("distances", [False, True])
+@pytest.mark.parametrize("distances", [False, pytest.param(True, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("name", MISREAD)
 def test_columns_that_hold_something_else_are_named(name: str, distances: bool) -> None:
     spoil, words = MISREAD[name]
@@ -110,6 +110,7 @@ def test_columns_that_hold_something_else_are_named(name: str, distances: bool) 
         locate_launch_unit.run(locate_launch_unit.TASK.job(settings(), given.table()))
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize("name", ["radians called degrees", "phi1 and phi4 swapped", "the mirrored unit"])
 @pytest.mark.parametrize("seed", [3, 4])
 def test_two_poses_tell_as_much(name: str, seed: int) -> None:

@@ -52,6 +52,7 @@ def job(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 LONG = ("beam-offset", "bad-pose.P7")
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize(
     "label", [pytest.param(label, marks=pytest.mark.slow if label in LONG else ()) for label in PLANTED]
 )
@@ -157,6 +158,7 @@ SWAPPED = {
 }
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize(
     "columns", [pytest.param(one, marks=pytest.mark.slow if one == "phi2 and phi3" else ()) for one in SWAPPED]
 )
@@ -185,6 +187,7 @@ def test_diagnose_names_what_was_planted(job: Path, metrocli: Callable[..., obje
     assert extended.code == 0, extended.err  # type: ignore[attr-defined]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("distances", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_what_of_a_bad_pose_is_not_seen_has_no_standard_deviation(
     distances: bool, job: Path, metrocli: Callable[..., object]

@@ -231,6 +231,7 @@ def check_program(text: str, plan: Plan, line: str, unit: np.ndarray, job: Plann
         assert (move[1] >= job.axes.box[:, 0] - 1e-3).all() and (move[1] <= job.axes.box[:, 1] + 1e-3).all()
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize("control", nc_program.CONTROLS)
 def test_the_programs_of_the_paper_s_scenario_run(control: str) -> None:
     job = replace(PAPER_PLAN, control=control, dwell=2.5, feed=25.0)

@@ -47,6 +47,7 @@ def job(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return Path("job.yaml")
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize("label", PLANTED)
 def test_what_simulate_plants_a_job_finds(label: str, job: Path, metrocli: Callable[..., object]) -> None:
     planted, named = PLANTED[label]

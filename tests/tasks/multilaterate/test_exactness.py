@@ -103,6 +103,7 @@ def test_as_the_bordered_equations_in_extended_precision(m: int, scale: float | 
     assert result.statistics["chi2"] == pytest.approx(cost, rel=0, abs=rounding_of_chi2(net, cost))
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize(("m", "scale"), CASES)
 def test_residuals_do_not_depend_on_the_datum(m: int, scale: float | None) -> None:
     net = network(30, m, seed=10 + m, scale=scale or 0.0)

@@ -14,6 +14,7 @@ from metrocli.formats import hdf5
 from metrocli.table import Table
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize(
     ("tracers", "datum"), [(4, ""), (7, ""), pytest.param(4, "datum: points\n", marks=pytest.mark.slow)]
 )

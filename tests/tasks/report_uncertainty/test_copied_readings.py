@@ -61,6 +61,7 @@ def test_a_copy_in_another_file_is_no_second_measurement(tmp_path: Path) -> None
     assert ran.result.estimates[0].std == pytest.approx(1000 * np.std(SERIES, ddof=1) / 2, rel=1e-9)
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize(("resolution", "count"), [(1.0, 10), (0.5, 30), (0.2, 100), (0.01, 1000)])
 def test_rounded_series_repeat_by_chance(resolution: float, count: int) -> None:
     """Of 400 series without a copy at most two are suspected (bound of 1e-3 each, so 0.4 on average)."""

@@ -57,6 +57,7 @@ def within(found: float, wanted: float, tolerance: float, what: str) -> None:
     assert abs(found - wanted) <= tolerance, f"{what}: {found} instead of {wanted} +- {tolerance}"
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize("case", CASES["propagation"], ids=lambda case: case["id"])
 def test_propagation(case: dict[str, Any], tmp_path: Path) -> None:
     done: dict[tuple[float | None, float | None], Ran] = {}
@@ -165,6 +166,7 @@ def test_a_weighted_line(case: dict[str, Any]) -> None:
     assert solution.dof == wanted["dof"]
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize("name", curves.CURVES)
 def test_nist_curves(name: str) -> None:
     """From the nearer start of each file; from the far one the engine does not reach BoxBOD, MGH09 and MGH10."""
@@ -230,6 +232,7 @@ def test_joint_coverage_factors(case: dict[str, Any], tmp_path: Path) -> None:
         assert round(float(found), 2) == wanted
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize("case", others("rss_table"))
 def test_tables_of_a_volume(case: dict[str, Any], tmp_path: Path) -> None:
     ran = carry_out(tmp_path, {

@@ -134,6 +134,7 @@ def test_a_mounting_off_by_degrees_is_no_fault(folder: Path, metrocli: Metrocli)
     assert np.abs(found - one.machine).max() < 1e-9
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize("tilt", [0.05, 0.1])
 def test_a_large_grid_may_stand_askew(tilt: float) -> None:
     """The outer balls are then far from their sites, yet none is taken for another; that they are off is told."""
@@ -147,6 +148,7 @@ def test_a_large_grid_may_stand_askew(tilt: float) -> None:
     assert told[0].startswith("view '3'")
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize("axes", [("i", "j", "k"), ("k", "i", "j"), ("j", "k", "i")])
 def test_a_plate_that_stands_the_other_way_is_told(
     axes: tuple[str, str, str], folder: Path, metrocli: Metrocli

@@ -70,6 +70,7 @@ def waved(places: np.ndarray) -> np.ndarray:
     return bent(places) + 0.003 * np.sin(3 * np.stack([y, z, x], axis=1) + 1)
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize("field", [bent, waved])
 @pytest.mark.parametrize("noise", [5e-3, 5e-4, 5e-5])
 def test_between_sites_both_forms_are_off_as_their_uncertainties_say(
@@ -204,7 +205,7 @@ def test_simulated_lengths_are_those_of_the_simulated_artefact(project: Path, me
     assert np.sqrt((share**2).mean()) == pytest.approx(1.0, abs=0.35)
 
 
-@pytest.mark.parametrize("size", [5, 13])
+@pytest.mark.parametrize("size", [pytest.param(5, marks=pytest.mark.slow), 13])
 def test_the_plan_knows_the_lengths(size: int, project: Path, metrocli: Metrocli) -> None:
     """They fix the scale, in the sets of views that are tried on a smaller grid too."""
     half = size // 2

@@ -49,6 +49,7 @@ def test_intervals_cover_what_they_say(views: str, drop: float) -> None:
     assert 0.02 < np.mean(np.array(p_values) < 0.1) < 0.2
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize("n", [3, 5, 7, 9, 11])
 def test_the_noise_gain_does_not_depend_on_the_size(n: int) -> None:
     made, _ = problem(n)

@@ -58,6 +58,7 @@ def test_a_rough_artefact_does_no_harm() -> None:
     assert all(np.abs(a - b).max() < 1e-9 for a, b in zip(fields(result), (machine, artefact), strict=True))
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize(
     "n", [3, 5, 7, 9, 11, *(pytest.param(n, marks=pytest.mark.slow) for n in (13, 15, 17, 19, 21))]
 )
@@ -78,6 +79,7 @@ COUNTS = {
 }
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize("n", [3, 5, 7])
 @pytest.mark.parametrize("views", COUNTS)
 def test_reduced_sets_leave_what_is_known(views: str, n: int) -> None:

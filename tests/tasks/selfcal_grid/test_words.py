@@ -92,6 +92,7 @@ DETERMINED = {"123": 0.0, "124": 0.6, "134": 0.3, "1246": 0.7}
 """At least this share of the machine error's components"""
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize("views", FAMILIES)
 def test_what_is_determined_is_right_and_the_rest_is_not_given_out(views: str) -> None:
     """Components with a finite uncertainty agree with the truth but for the datum; the others are marked."""
@@ -116,6 +117,7 @@ MOVED = {"123": set(), "124": {"4.beta", "4.x", "4.z"}, "134": {"4.x", "4.alpha"
 """Mountings that the families move: a view shifted along an open scale, turned with a twist or tilted with a bowl"""
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize("views", FAMILIES)
 def test_nothing_that_follows_from_what_is_open_is_given_out(views: str) -> None:
     """Between the sites, by the smooth form, as a length or as a mounting."""

@@ -68,6 +68,7 @@ def parameters(fit: FeatureFit) -> Array:
     return np.array([*fit.ideal.origin, *angles(fit.ideal.axis), fit.ideal.radius, fit.ideal.half_angle])
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize("shape", IdealFeature)
 def test_least_squares_are_those_of_minpack(shape: IdealFeature) -> None:
     """Another parametrisation, another program, starts that are off: the same sum of squares and deviations."""
@@ -177,6 +178,7 @@ def test_no_other_program_finds_a_smaller_zone(shape: IdealFeature, seed: int) -
     assert fit.form == pytest.approx(min(found), rel=2e-3)
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize("shape", IdealFeature)
 def test_the_points_in_contact_prove_the_zone(shape: IdealFeature) -> None:
     """Weighted by the contact, the gradients by differences of the textbook distances add up to zero."""
@@ -197,6 +199,7 @@ def test_the_points_in_contact_prove_the_zone(shape: IdealFeature) -> None:
         assert abs(fit.contact.weights * fit.contact.sides @ change[: len(at)]) / 2e-5 < 1e-5 * 100
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize(
     ("number", "seed"), [pytest.param(5, 84, marks=pytest.mark.slow), (6, 166), (6, 230), (6, 321), (6, 478), (6, 783)]
 )

@@ -187,6 +187,7 @@ CASES = {
 
 
 LONG = (
+    "all views parallel",
     "all views parallel, with distortion",
     "all targets in one plane",
     "targets at one place, part",

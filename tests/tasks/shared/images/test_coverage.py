@@ -14,9 +14,8 @@ KOLMOGOROV = 1.95
 """sqrt(n) D that uniform p-values exceed once in 1000"""
 
 
-@pytest.mark.parametrize(
-    "job", [pytest.param(job, marks=() if job.endswith("rig board") else pytest.mark.slow) for job in coverage.JOBS]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("job", coverage.JOBS)
 def test_intervals_hold_the_truth(job: str) -> None:
     found = coverage.covered(coverage.JOBS[job](RUNS))
     assert 0.93 <= found.inside.mean() <= 0.97

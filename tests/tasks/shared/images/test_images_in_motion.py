@@ -144,6 +144,7 @@ def test_an_image_that_is_noisier_along_its_motion_is_reported_as_noisier() -> N
     assert not diagnosis.findings
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize("kind", SCENES)
 def test_without_a_rolling_shutter_it_is_not_sought(kind: str) -> None:
     rng = np.random.default_rng(85)

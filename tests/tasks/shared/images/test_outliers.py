@@ -55,6 +55,7 @@ def left_out(made: CameraProblem, found: AdjustedImages) -> set[int]:
     return {numbers[key] for key in zip(found.rejected.texts("image"), found.rejected.texts("target"), strict=True)}
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize("estimate_noise", [False, True])
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_planted_errors_are_found_and_good_readings_kept(seed: int, estimate_noise: bool) -> None:

@@ -27,6 +27,7 @@ def calibration(folder: Path, rig: str, convention: str, effect: str, estimate: 
     return job
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize("convention", ["forward", "backward"])
 @pytest.mark.parametrize(
     ("rig", "effect", "planted"),
@@ -64,6 +65,7 @@ def test_a_calibration_finds_what_was_planted(
         assert len(file[f"effects/{label}/covariance"]) == len(sizes)
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize(
     ("effect", "estimate", "names"),
     [
@@ -130,6 +132,7 @@ ALIGNED = {
 }
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize("name", ALIGNED)
 def test_an_alignment_finds_what_was_planted(name: str, tmp_path: Path, metrocli: Metrocli) -> None:
     """Six targets in each image, the spindle turned between images."""
