@@ -5,8 +5,8 @@
 
 Each campaign is a benchmark of its own, with a truth of its own: simulations by plain formulas that share nothing with
 the solver, effects planted into real measurements, halves of real sets, one board seen by four cameras, published
-values. Its rows enter the second table of docs/benchmarks.md as soon as it ends. Data of ../shared that are absent leave
-their rows out.
+values. Its rows enter the second table of docs/benchmarks.md as soon as it ends. Data of ../shared that are absent
+leave their rows out.
 """
 
 from __future__ import annotations
