@@ -265,9 +265,10 @@ def _moved(search: _Search, move: Array) -> None:
     """Move all that is placed by a pose; levelled stations turn about z only."""
     search.points = poses.apply(move, search.points)
     level = search.levelled
-    search.poses[:, :3] = poses.apply(move, search.poses[:, :3])
     placed = np.isfinite(search.poses[:, 0]) & ~level
-    search.poses[placed] = poses.compose(move * [0, 0, 0, 1, 1, 1], search.poses[placed])
+    moved = poses.compose(move, search.poses[placed])
+    search.poses[:, :3] = poses.apply(move, search.poses[:, :3])
+    search.poses[placed] = moved
     of = np.array([station for station, _ in search.readings.sightings.rounds], dtype=np.intp)
     search.gamma = np.where(level[of], search.gamma + move[5], search.gamma)
 
