@@ -156,7 +156,7 @@ def of_board(one: BoardSet, folder: Path) -> Iterator[Case]:
             continue
         count = 3 if name == OF_TARGET else len(COLUMNS[name])
         direction = rng.normal(size=count)
-        direction *= np.sqrt(count) / np.linalg.norm(direction)
+        direction /= np.linalg.norm(direction)
         own = boards.fitted(board, adequate.plus(name, where), fit)
         was = own.shifts[board.targets.index(target)] if where else [own.values.get(k, 0.0) for k in COLUMNS[name]]
         for times in TIMES:
@@ -288,7 +288,7 @@ def _left_out_and_planted(
         places = [one for one in plain.data["candidates"] if one["name"] == name and one["minimal_detectable"]]
         chosen = places[int(rng.integers(len(places)))]
         least, direction = float(chosen["minimal_detectable"]["value"]), rng.normal(size=count)
-        direction *= np.sqrt(count) / np.linalg.norm(direction)
+        direction /= np.linalg.norm(direction)
         for times in TIMES:
             sizes = tuple((times * least * direction).tolist())
             changed = job(f"{name}-{times:g}", (name, chosen["where"], sizes))

@@ -31,6 +31,8 @@ LEAST_REDUNDANCY = 1e-3
 """Smallest redundancy of a reading whose error shows"""
 _POWER = 0.8
 """Probability with which an effect of the least detectable size is found"""
+_QUANTILE = 1.96
+"""Of the normal distribution, for bounds at 97.5 %"""
 _FORMS = 60
 """Largest number of forms of an effect (values of its scan) over which the power is averaged"""
 _NAMED_ABSORBERS = 3
@@ -61,7 +63,7 @@ class DetectableCandidate:
     missed: bool = False
     """Whether its scan is too coarse for the readings, so that a form between two of its values can be missed"""
     upper: float = 0.0
-    """Upper bound (95 %) of its size beside all that was found"""
+    """Upper bound (97.5 %) of its size beside all that was found"""
     share: float = 1.0
     """Share of what the unknowns leave of it that random parts and other effects leave, too"""
 
@@ -195,9 +197,11 @@ def _candidate(state: State, family: int, chosen: Sequence[int], noise: float) -
 
 
 def _upper(state: State, family: int, number: int) -> float:
-    """Return the upper bound (95 %) of the size of an alternative that is not in a state.
+    """Return the upper bound (97.5 %) of the size of an alternative that is not in a state.
 
-    It is `|theta| + 1.645 s` with the estimate theta beside all else and the mean s of the standard deviations.
+    The size of several parameters is their length, as in `size_found`. The bound is `|theta| + 1.96 s`, with the
+    estimate theta beside all else and the root mean square s of their standard deviations: like the size that is found,
+    it is that of a usual direction, not of the least visible one.
     """
     gram, right = (values[number] for values in state.left(family))
     scale = np.sqrt(np.maximum(np.diag(gram), 0.0))
@@ -208,7 +212,7 @@ def _upper(state: State, family: int, number: int) -> float:
     inverse = np.linalg.pinv(unit, 1e-8, hermitian=True) / scale[seen] / scale[seen][:, None]
     theta = inverse @ right[seen]
     spread = np.sqrt(state.variance * max(float(np.mean(np.diag(inverse))), 0.0))
-    return float(np.sqrt(np.mean(theta**2)) + 1.645 * spread)
+    return float(np.linalg.norm(theta) + _QUANTILE * spread)
 
 
 def _full(job: AdjustedJob, system: Linearised, alternative: Candidate) -> Array:
