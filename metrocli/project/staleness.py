@@ -145,8 +145,16 @@ def _still_named(job: JobFile, path: str) -> bool:
     places = (
         (os.path.abspath(job.folder / path) if pattern.is_absolute() else path, str(pattern)) for pattern in patterns
     )
-    # fnmatch lets a star match slashes too: `**/` is then a star that may be nothing
-    return any(fnmatchcase(place, pattern.replace("**/", "*")) for place, pattern in places)
+    return any(_matches(Path(place).parts, Path(pattern).parts) for place, pattern in places)
+
+
+def _matches(place: Sequence[str], pattern: Sequence[str]) -> bool:
+    """Return whether folders and file are those of a pattern; `**` stands for any number of folders."""
+    if not pattern:
+        return not place
+    if pattern[0] == "**":
+        return any(_matches(place[skipped:], pattern[1:]) for skipped in range(len(place) + 1))
+    return bool(place) and fnmatchcase(place[0], pattern[0]) and _matches(place[1:], pattern[1:])
 
 
 def unfit_words(status: str) -> str:

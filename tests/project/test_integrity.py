@@ -413,3 +413,17 @@ def test_a_job_never_runs_with_fewer_images_unasked(edited: bool, job: Path, met
         assert metrocli("run").code == 0, "the job names the others only"
     else:
         assert metrocli("run", "--force").code == 0
+
+
+def test_a_lost_image_that_the_pattern_no_longer_names_is_not_missed(job: Path, metrocli: Callable[..., Any]) -> None:
+    """A star of a pattern ends at a slash: `img/*.png` does not name `img/b/c.png`."""
+    Path("img/b").mkdir(parents=True)
+    for n, name in enumerate(("img/a.png", "img/b/c.png")):
+        cv2.imwrite(name, np.full((20, 30), n, np.uint8))
+    plain = job.read_text()
+    job.write_text(plain.replace("{", "{images: 'img/**/*.png', "))
+    Path("metrocli.yaml").write_text("jobs: [line.yaml]\n")
+    assert metrocli("run").code == 0
+    Path("img/b/c.png").unlink()
+    job.write_text(plain.replace("{", "{images: 'img/*.png', "))
+    assert metrocli("run").code == 0
