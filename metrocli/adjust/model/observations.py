@@ -99,6 +99,13 @@ class Observations:
         """Standard deviation of each component, (d, n)."""
         return self.sigma if self.covariance is None else np.sqrt(np.einsum("aan->an", self.covariance))
 
+    @property
+    def _covariances(self) -> Array:
+        """Covariance of the components of each reading, (d, d, n), also where they are not correlated."""
+        if self.covariance is not None:
+            return self.covariance
+        return np.asarray(self.sigma**2 * np.eye(len(self.sigma))[:, :, None])
+
     def whitened(self, values: Array) -> Array:
         """Return values (d, ..., n) decorrelated and in units of their standard deviations."""
         if self._whitening is not None:
@@ -151,12 +158,10 @@ class Observations:
 
     def followed_by(self, others: Observations) -> Observations:
         """Return these readings followed by others of the same kind."""
-        covariances = [
-            observations.covariance for observations in (self, others) if observations.covariance is not None
-        ]
+        correlated = self.covariance is not None or others.covariance is not None
         return replace(
             self,
-            covariance=np.concatenate(covariances, axis=2) if covariances else None,
+            covariance=np.concatenate([self._covariances, others._covariances], axis=2) if correlated else None,
             readings=np.concatenate([self.readings, others.readings], axis=1),
             sigma=np.concatenate([self.sigma, others.sigma], axis=1),
             index={name: np.concatenate([index, others.index[name]], axis=-1) for name, index in self.index.items()},
