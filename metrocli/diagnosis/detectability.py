@@ -200,7 +200,7 @@ def _upper(state: State, family: int, number: int) -> float:
     """Return the upper bound (97.5 %) of the size of an alternative that is not in a state.
 
     The size of several parameters is their length, as in `size_found`. The bound is `|theta| + 1.96 s`, with the
-    estimate theta beside all else and the root mean square s of their standard deviations: like the size that is found,
+    estimate theta beside all else and the root mean square s of their standard deviations. Like the size that is found
     it is that of a usual direction, not of the least visible one.
     """
     gram, right = (values[number] for values in state.left(family))

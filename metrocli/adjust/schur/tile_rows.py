@@ -1,4 +1,8 @@
-"""The linearised readings of a tile: derivatives by its members and by other blocks, and their products."""
+"""The linearised readings of a tile: derivatives by its members and by other blocks, and their products.
+
+Each of the k members of a tile has m readings (slots) of d components, and s unknowns of its own. In each slot all
+members use the same members of the other blocks.
+"""
 
 from __future__ import annotations
 
@@ -67,13 +71,13 @@ def with_zeros(matrix: Array) -> Array:
     return np.pad(matrix, (0, 1))
 
 
-def weighted(rows: Array, places: Index, reduced: Array) -> Array:
+def times_covariance(rows: Array, places: Index, reduced: Array) -> Array:
     """Return `Q Y` of Y (rows, s, k), whose rows have the reduced columns `places` (rows,), with Q = `reduced`."""
     chosen = with_zeros(reduced)[np.ix_(places, places)]
     return (chosen @ flattened(rows)).reshape(rows.shape)
 
 
-def products(first: Array, second: Array, symmetric: bool = False) -> Array:
+def products_by_member(first: Array, second: Array, symmetric: bool = False) -> Array:
     """Return the sum over the rows of first (rows, a, k) times second (rows, b, k), (a, b, k); symmetric if said so."""
     result = np.empty((first.shape[1], *second.shape[1:]))
     for a in range(first.shape[1]):
@@ -84,11 +88,11 @@ def products(first: Array, second: Array, symmetric: bool = False) -> Array:
     return result
 
 
-def shared(coupled: tuple[Array, Index], reduced: Array) -> tuple[Array, Array]:
+def propagated(coupled: tuple[Array, Index], reduced: Array) -> tuple[Array, Array]:
     """Return `Q Y` and `Y' Q Y`, with Q the covariance of the reduced unknowns: (rows, s, k), (s, s, k)."""
     rows, places = coupled
-    product = weighted(rows, places, reduced)
-    return product, products(rows, product, symmetric=True)
+    product = times_covariance(rows, places, reduced)
+    return product, products_by_member(rows, product, symmetric=True)
 
 
 def by_slot(jacobian: Array, slots: int) -> Array:

@@ -18,9 +18,9 @@ from metrocli.adjust.schur.tile_rows import (
     add_products,
     adjusted_variance,
     flattened,
-    products,
-    shared,
-    weighted,
+    products_by_member,
+    propagated,
+    times_covariance,
     with_zeros,
 )
 from metrocli.arrays import Array, Index, Mask
@@ -211,7 +211,7 @@ class EliminatedTile:
 
     def covariance(self, reduced: Array) -> Array:
         """Return `D^-1 + W Q W'` of each member, (k, s, s)."""
-        return self._covariance(shared(self.coupling(), reduced)[1])
+        return self._covariance(propagated(self.coupling(), reduced)[1])
 
     def _covariance(self, between: Array) -> Array:
         """Return `L'^-1 (I + Y Q Y') L^-1` of each member, (k, s, s)."""
@@ -229,7 +229,7 @@ class EliminatedTile:
         """
         own = [self.whitened(part) for part in self.rows]
         coupled = self._combined(len(self.free), own)
-        product, between = shared(coupled, reduced)
+        product, between = propagated(coupled, reduced)
         explained = self._left(reduced) if self._few else self._explained(own, product, between, with_zeros(reduced))
         return self._covariance(between), tuple(part.reshape(len(part), -1) for part in explained)
 
@@ -242,7 +242,7 @@ class EliminatedTile:
         if self._few:
             return self._with_few_readings(reduced, chosen)
         own = [self.whitened(part) for part in self.rows]
-        product, between = shared(self._combined(len(self.free), own), reduced)
+        product, between = propagated(self._combined(len(self.free), own), reduced)
         parts, at = [], 0
         for i, (part, u) in enumerate(zip(self.rows, own, strict=True)):
             total = u + np.einsum("abk,bdmk->admk", between, u) if i in chosen else None
@@ -260,7 +260,7 @@ class EliminatedTile:
         spare = self._spare()
         own = [self.whitened(part) for part in self.rows]
         (y, places), (x, _) = self._combined(len(self.free), own), self._combined(len(spare[0]), spare)
-        between = products(y, weighted(x, places, reduced))
+        between = products_by_member(y, times_covariance(x, places, reduced))
         return [self.backward(own[i] - np.einsum("aqk,qdmk->admk", between, spare[i])) for i in chosen]
 
     def seen_by(self, fields: Array, chosen: Sequence[int]) -> list[Array]:
@@ -270,7 +270,7 @@ class EliminatedTile:
     def _left(self, reduced: Array) -> list[Array]:
         """Return the variance of each adjusted reading as `1 - diag(Z (I - X Q X') Z')`, with `X = Z'K`."""
         spare = self._spare()
-        left = -shared(self._combined(len(spare[0]), spare), reduced)[1]
+        left = -propagated(self._combined(len(spare[0]), spare), reduced)[1]
         for a in range(len(left)):
             left[a, a] += 1.0
         return [1 - np.einsum("qdmk,rdmk,qrk->dmk", z, z, left) for z in spare]

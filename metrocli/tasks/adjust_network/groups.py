@@ -13,11 +13,23 @@ from metrocli.adjust.model.groups import Group, joint_prior, prior, priors
 from metrocli.adjust.model.observations import Observations
 from metrocli.arrays import Array, Index
 from metrocli.effects.links.stations import BEGUN, IN_ORDER
-from metrocli.instruments import stations as s
-from metrocli.instruments import tracer as t
 from metrocli.instruments.frames import DistanceBetween
+from metrocli.instruments.stations import (
+    LEVELLED,
+    ORIENTATION,
+    OVER,
+    SETUP,
+    STATION,
+    TARGET_HEIGHT,
+    HeightBetween,
+    heights_of,
+    sighting,
+)
+from metrocli.instruments.stations import listed as condition_of_listed
+from metrocli.instruments.tracer import POINT, TRACER
+from metrocli.instruments.tracer import chain as length_chain
 from metrocli.instruments.tracker import AZIMUTH, DISTANCE, ELEVATION, FACE
-from metrocli.tasks.adjust_network import noise as n
+from metrocli.tasks.adjust_network.noise import GIVEN, parts_of
 from metrocli.tasks.adjust_network.readings import Lengths, NetworkReadings
 from metrocli.tasks.adjust_network.settings import Settings
 from metrocli.tasks.adjust_network.sightings import QUANTITIES
@@ -49,7 +61,7 @@ def sightings(readings: NetworkReadings, blocks: Mapping[str, Block], bend: floa
     if not len(seen.point):
         return
     kinds = kind_of_stations(readings)
-    numbers = {name: i for i, name in enumerate((s.STATION, s.LEVELLED, s.OVER))}
+    numbers = {name: i for i, name in enumerate((STATION, LEVELLED, OVER))}
     member = np.zeros(len(kinds), dtype=np.intp)
     for name in numbers:
         rows = rows_of_kind(kinds, name)
@@ -67,10 +79,10 @@ def sightings(readings: NetworkReadings, blocks: Mapping[str, Block], bend: floa
             block, raised = list(numbers)[number // 2], bool(number % 2)
             chosen = whole.selected(rows)
             index = {block: member[seen.station[rows]], **_of_points(readings, block, rows)}
-            if block != s.STATION:
-                index[s.ORIENTATION] = seen.orientation[rows]
+            if block != STATION:
+                index[ORIENTATION] = seen.orientation[rows]
             if raised:
-                index[s.SETUP] = seen.setup[rows]
+                index[SETUP] = seen.setup[rows]
             name = QUANTITIES[component] + (_variant(block, raised) if len(codes) > 1 else "")
             observations = replace(
                 chosen,
@@ -81,7 +93,7 @@ def sightings(readings: NetworkReadings, blocks: Mapping[str, Block], bend: floa
                 components=(QUANTITIES[component],),
                 unit="mm" if component == DISTANCE else "rad",
             )
-            yield Group(name, s.sighting(block, raised, component, bend), observations)
+            yield Group(name, sighting(block, raised, component, bend), observations)
 
 
 def _variant(block: str, raised: bool) -> str:
@@ -91,9 +103,9 @@ def _variant(block: str, raised: bool) -> str:
 
 def _of_points(readings: NetworkReadings, block: str, rows: Index) -> dict[str, Index]:
     seen = readings.sightings
-    if block != s.OVER:
-        return {t.POINT: seen.point[rows]}
-    return {t.POINT: np.stack([seen.point[rows], readings.stations.over[seen.station[rows]]])}
+    if block != OVER:
+        return {POINT: seen.point[rows]}
+    return {POINT: np.stack([seen.point[rows], readings.stations.over[seen.station[rows]]])}
 
 
 def _observations(readings: NetworkReadings) -> Observations:
@@ -110,11 +122,11 @@ def _observations(readings: NetworkReadings) -> Observations:
         keys["face"] = tuple("1" if face > 0 else "2" for face in seen.face.tolist())
     if any(name for _, name in seen.rounds):
         keys["round"] = tuple(seen.rounds[i][1] for i in seen.orientation)
-    conditions = seen.table.conditions("t", "temp") | n.parts_of(readings.instruments, instrument)
-    conditions |= {FACE: seen.face} | dict(zip(n.GIVEN, seen.sigma, strict=True))
+    conditions = seen.table.conditions("t", "temp") | parts_of(readings.instruments, instrument)
+    conditions |= {FACE: seen.face} | dict(zip(GIVEN, seen.sigma, strict=True))
     conditions |= _begun(conditions, seen.station)
     if seen.raised.any():
-        conditions[s.TARGET_HEIGHT] = seen.height
+        conditions[TARGET_HEIGHT] = seen.height
     # point, station, face and round in one number: only the time distinguishes readings that share all four
     pair = seen.point * len(stations.names) + seen.station
     pair = pair * 2 + (seen.face < 0)
@@ -132,6 +144,7 @@ def _begun(conditions: Mapping[str, Array], station: Index) -> dict[str, Array]:
 
 
 def lengths(readings: NetworkReadings) -> Iterator[Group]:
+    """Yield the group of lengths of interferometers, if there are some."""
     distances = readings.lengths
     if distances is None:
         return
@@ -139,31 +152,33 @@ def lengths(readings: NetworkReadings) -> Iterator[Group]:
     tracer = np.searchsorted(rows, distances.first)
     instrument = stations.instrument[distances.first]
     index = {
-        t.POINT: distances.second, t.TRACER: tracer, OF_POINT: distances.second, OF_STATION: distances.first,
+        POINT: distances.second, TRACER: tracer, OF_POINT: distances.second, OF_STATION: distances.first,
         OF_INSTRUMENT: instrument, OF_TRACER: tracer,
     }  # fmt: skip
     keys = {
         "station": tuple(stations.names[i] for i in distances.first),
         "point": tuple(readings.points.names[i] for i in distances.second),
     }
-    conditions = distances.table.conditions("t", "temp") | n.parts_of(readings.instruments, instrument)
+    conditions = distances.table.conditions("t", "temp") | parts_of(readings.instruments, instrument)
     conditions |= _begun(conditions, distances.first)
     keys = distinguished(keys, distances.second * len(stations.names) + distances.first, conditions.get("t"))
     observations = Observations(
         distances.values[None], np.ones(1), index, keys=keys, conditions=conditions, components=("length",), unit="mm"
     )
-    yield Group(LENGTHS, t.chain(), observations)
+    yield Group(LENGTHS, length_chain(), observations)
 
 
 def bars(readings: NetworkReadings) -> Iterator[Group]:
+    """Yield the group of measured bars, distances between two points, if there are some."""
     measured = readings.bars
     if measured is not None:
-        index = {t.POINT: np.stack([measured.first, measured.second]), OF_BAR: np.arange(len(measured.first))}
+        index = {POINT: np.stack([measured.first, measured.second]), OF_BAR: np.arange(len(measured.first))}
         keys = {"bar": tuple(measured.table.texts("bar"))}
-        yield _pairs(BARS, Chain((DistanceBetween(t.POINT),)), measured, index, keys, "length")
+        yield _pairs(BARS, Chain((DistanceBetween(POINT),)), measured, index, keys, "length")
 
 
 def heights(readings: NetworkReadings, settings: Settings) -> Iterator[Group]:
+    """Yield the group of height differences, if there are some."""
     measured = readings.heights
     if measured is not None:
         curved = settings.vertical is not None
@@ -174,15 +189,15 @@ def heights(readings: NetworkReadings, settings: Settings) -> Iterator[Group]:
         )
         if len(np.unique(pair)) < len(pair):
             keys["line"] = tuple(str(line) for line in measured.table.lines) or tuple(map(str, range(len(pair))))
-        index = {t.POINT: np.stack([measured.first, measured.second]), OF_LINE: np.arange(len(measured.first))}
-        group = _pairs(HEIGHTS, Chain((s.HeightBetween(t.POINT, curved),)), measured, index, keys, "dh")
+        index = {POINT: np.stack([measured.first, measured.second]), OF_LINE: np.arange(len(measured.first))}
+        group = _pairs(HEIGHTS, Chain((HeightBetween(POINT, curved),)), measured, index, keys, "dh")
         conditions = dict(group.observations.conditions)
         for number in np.unique(np.concatenate([measured.first, measured.second])).tolist():
             sign = (measured.second == number).astype(float) - (measured.first == number)
-            conditions[s.heights_of(readings.points.names[number])] = sign
+            conditions[heights_of(readings.points.names[number])] = sign
         if "method" in measured.table:
-            known = methods(readings)
-            conditions["method"] = np.array([known.index(text) for text in measured.table.texts("method")], dtype=float)
+            names = methods(readings)
+            conditions["method"] = np.array([names.index(text) for text in measured.table.texts("method")], dtype=float)
         yield replace(group, observations=replace(group.observations, conditions=conditions))
 
 
@@ -208,7 +223,7 @@ def _pairs(
 
 def given(readings: NetworkReadings, blocks: Mapping[str, Block]) -> Iterator[Group]:
     """Yield what is known of points: coordinates with a joint covariance, and others axis by axis."""
-    points, block = readings.points, blocks[t.POINT]
+    points, block = readings.points, blocks[POINT]
     listed = block.with_values(np.where(np.isfinite(points.listed), points.listed, block.values))
     sigma = points.sigma.copy()
     if points.covariance is not None:
@@ -230,21 +245,21 @@ def given(readings: NetworkReadings, blocks: Mapping[str, Block]) -> Iterator[Gr
 def _of_list(group: Group, members: Index, block: Block) -> Group:
     """Return a group of given coordinates, with a condition for each of its points."""
     observations = group.observations
-    named = {s.listed(block.members[i]): np.ones(observations.count) for i in members[:_MOST_LISTED]}
+    named = {condition_of_listed(block.members[i]): np.ones(observations.count) for i in members[:_MOST_LISTED]}
     keys = {"point": observations.keys["member"]} if "member" in observations.keys else {}
     return replace(group, observations=replace(observations, conditions=named, keys=keys, unit="mm"))
 
 
 def known(readings: NetworkReadings, blocks: Mapping[str, Block]) -> Iterator[Group]:
     """Yield what is known of heights of instruments and targets, and of their centring."""
-    if s.OVER in blocks:
-        rows = rows_of_kind(kind_of_stations(readings), s.OVER)
-        stations, over = readings.stations, blocks[s.OVER]
-        known = np.stack([*[stations.centring[rows]] * 2, stations.sigma_height[rows]], axis=1)
-        for number, group in enumerate(priors(over, known, over.free)):
+    if OVER in blocks:
+        rows = rows_of_kind(kind_of_stations(readings), OVER)
+        stations, over = readings.stations, blocks[OVER]
+        sigmas = np.stack([*[stations.centring[rows]] * 2, stations.sigma_height[rows]], axis=1)
+        for number, group in enumerate(priors(over, sigmas, over.free)):
             yield replace(group, name=f"heights of instruments {number + 1}")
-    if s.SETUP in blocks:
-        heights = blocks[s.SETUP]
+    if SETUP in blocks:
+        heights = blocks[SETUP]
         rows = np.flatnonzero(heights.free[:, 0] & (readings.setups[2] > 0))
         if rows.size:
             yield prior(heights, rows, readings.setups[2][rows, None])

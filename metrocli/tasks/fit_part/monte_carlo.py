@@ -16,7 +16,7 @@ from metrocli.tasks.fit_part.contradiction import feasible
 from metrocli.tasks.fit_part.draws import drawing
 from metrocli.tasks.fit_part.fit import MOST, most_of_many
 from metrocli.tasks.fit_part.solve import FittedPart, fitted_part
-from metrocli.tasks.fit_part.uncertainty import of_result
+from metrocli.tasks.fit_part.uncertainty import pose_by_step
 
 _ALIKE, _BY_CHANCE = 0.2, 3.0
 """Relative difference of a standard uncertainty from that of the simulated fits from which a note warns
@@ -53,7 +53,7 @@ def checked(solved: FittedPart, minimum: float, trials: int, seed: int) -> Check
         rows.append(poses.difference(poses.inverse(fitted.into), poses.inverse(solved.fit.into)))
     by_angle = poses.euler_form_by_step(poses.inverse(solved.fit.into))
     steps = np.array(rows).reshape(-1, 6) @ by_angle.T
-    change = of_result(solved.fit)
+    change = pose_by_step(solved.fit)
     computed = np.sqrt(np.diag(change @ solved.sensitivity.covariance @ change.T))
     # about the fitted pose, as the stated uncertainties are: exchanges of the points that hold it also shift the mean
     simulated = np.sqrt((steps**2).mean(axis=0)) if len(steps) else np.full(6, np.nan)

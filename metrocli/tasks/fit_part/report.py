@@ -13,7 +13,7 @@ from metrocli.tasks.fit_part.fit import EVEN, LEAST_MOTION
 from metrocli.tasks.fit_part.monte_carlo import Check
 from metrocli.tasks.fit_part.sentences import notes, uncontrolled, warnings
 from metrocli.tasks.fit_part.solve import FittedPart
-from metrocli.tasks.fit_part.uncertainty import of_result
+from metrocli.tasks.fit_part.uncertainty import pose_by_step
 from metrocli.tasks.shared.statistics import Statistics
 from metrocli.tasks.shared.uncontrolled import TABLE, in_words
 
@@ -25,7 +25,7 @@ _NO_CHANCE = 1e-9
 def report(solved: FittedPart, check: Check | None = None) -> Result:
     """Return the result of a fitted part."""
     fit, names = solved.fit, solved.prepared.readings.surface_points.names
-    change = of_result(fit)
+    change = pose_by_step(fit)
     covariance = change @ solved.sensitivity.covariance @ change.T
     values = poses.euler_form(poses.inverse(fit.into)) + 0.0  # a part that stays has 0, not -0
     std = np.sqrt(np.maximum(np.diag(covariance), 0.0))

@@ -13,6 +13,8 @@ from metrocli.uncertainty.predicted import PredictedPlaces
 
 _SLIGHT = 1e-6
 """Weight of evenness beside the largest least overstock"""
+_DEPENDENT = 1e-13
+"""Singular value, relative to the largest, of active points that hold the pose twice: a rounding error"""
 
 
 @dataclass(frozen=True)
@@ -36,34 +38,39 @@ class Sensitivity:
         return self.own + self.by_common @ self.core @ self.by_common.T
 
 
-def sensitivity(fit: PoseFit, aim: PoseCriterion, start: Array, places: PredictedPlaces) -> Sensitivity:
+def sensitivity(fit: PoseFit, criterion: PoseCriterion, start: Array, places: PredictedPlaces) -> Sensitivity:
     """Return the sensitivity of a fit to the measured points, and the covariance from theirs.
 
     `start` (6,) is the pose into the part frame before the fit.
     """
     local, n = fit.local, len(fit.local.points)
     active = np.flatnonzero(fit.duals > 0)
-    hessian = fit.hessian if aim.name != MOST else _SLIGHT * aim.objective(local).hessian - local.curvature(fit.duals)
-    system = _system(hessian, local.rows[active], aim.name == MOST)
-    right = np.zeros((n, len(system), 3))
-    right[:, :6] = gradient_by_point(fit, aim, start)
-    first = len(system) - len(active)
-    right[active, first + np.arange(len(active))] = local.shape.normal[active] @ poses.rotation_of(fit.into)
-    inverse = np.linalg.pinv(system, rcond=1e-13)
-    by_point = -(inverse[:6] @ right)
-    own = np.einsum("nia,nab,njb->ij", by_point, places.own, by_point, optimize=True)
-    by_common = np.einsum("nia,nak->ik", by_point, places.common, optimize=True)
-    return Sensitivity(by_point, (own + own.T) / 2, by_common, places.core)
+    hessian = (
+        fit.hessian
+        if criterion.name != MOST
+        else _SLIGHT * criterion.objective(local).hessian - local.curvature(fit.duals)
+    )
+    system = _system(hessian, local.rows[active], criterion.name == MOST)
+    # the conditions of the optimum by each point: the gradient, and the overstock of the active points
+    by_point = np.zeros((n, len(system), 3))
+    by_point[:, :6] = gradient_by_point(fit, criterion, start)
+    duals = len(system) - len(active) + np.arange(len(active))
+    by_point[active, duals] = local.shape.normal[active] @ poses.rotation_of(fit.into)
+    inverse = np.linalg.pinv(system, rcond=_DEPENDENT)
+    step = -(inverse[:6] @ by_point)
+    own = np.einsum("nia,nab,njb->ij", step, places.own, step, optimize=True)
+    by_common = np.einsum("nia,nak->ik", step, places.common, optimize=True)
+    return Sensitivity(step, (own + own.T) / 2, by_common, places.core)
 
 
-def gradient_by_point(fit: PoseFit, aim: PoseCriterion, start: Array) -> Array:
+def gradient_by_point(fit: PoseFit, criterion: PoseCriterion, start: Array) -> Array:
     """Return the derivative of the gradient of the Lagrangian by the measured points, (n, 6, 3)."""
     local, n = fit.local, len(fit.local.points)
     turn, before = poses.rotation_of(fit.into), poses.rotation_of(start)
-    weight = _SLIGHT if aim.name == MOST else 1.0
+    weight = _SLIGHT if criterion.name == MOST else 1.0
     gradient, changed = np.zeros((n, 6, 3)), -fit.duals
-    if aim.before is not None:
-        moves = local.points - aim.before
+    if criterion.before is not None:
+        moves = local.points - criterion.before
         gradient += np.swapaxes(local.movement, 1, 2) @ (turn - before) / n
         gradient[:, 3:] -= cross_matrix(moves) @ turn / (local.lever * n)
     else:
@@ -97,7 +104,7 @@ def _system(hessian: Array, active: Array, with_level: bool) -> Array:
     return system
 
 
-def of_result(fit: PoseFit) -> Array:
+def pose_by_step(fit: PoseFit) -> Array:
     """Return the derivative of the pose of the part (x, y, z, alpha, beta, gamma) by a step of the fit, (6, 6).
 
     A step turns the part frame the other way: `dr = -R w`, `dd = -R (u - w x c)`.

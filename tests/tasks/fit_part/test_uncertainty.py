@@ -25,7 +25,7 @@ from metrocli.tasks.fit_part.report import report
 from metrocli.tasks.fit_part.settings import Inputs, NominalFile, Overstock, Settings
 from metrocli.tasks.fit_part.solve import FittedPart, fitted_part, prepare, solve
 from metrocli.tasks.fit_part.stock import Stock
-from metrocli.tasks.fit_part.uncertainty import of_result, sensitivity
+from metrocli.tasks.fit_part.uncertainty import pose_by_step, sensitivity
 from metrocli.uncertainty.predicted import PredictedPlaces
 
 EXCHANGED = 32
@@ -82,7 +82,7 @@ def test_the_sensitivity_is_the_difference_of_two_fits(aim: str, minimum: float,
     h = 1e-3 if aim == "most" else 1e-4
     ahead, behind = (poses.inverse(at(one.points + side * h * along)[1].into) for side in (1, -1))
     difference = poses.euler_form(ahead) - poses.euler_form(behind)
-    expected = of_result(fit) @ np.einsum("nij,nj->i", found.by_point, along)
+    expected = pose_by_step(fit) @ np.einsum("nij,nj->i", found.by_point, along)
     assert np.allclose(difference / (2 * h) / SCALE, expected / SCALE, atol=0.02 * np.abs(expected / SCALE).max())
     every = np.concatenate(list(found.by_point), axis=1)
     shared = places.common.reshape(-1, 2)
@@ -167,7 +167,7 @@ def test_a_shift_of_all_points_is_a_shift_of_the_pose_in_each_draw(tmp_path: Pat
     shift = np.broadcast_to(np.eye(3), (len(one.points), 3, 3))
     places = PredictedPlaces(one.points, shift, 0.04 * np.eye(3), 9e-4 * shift)
     found = sensitivity_of_draws(fit, aim, np.zeros(6), places)
-    moved = of_result(fit) @ found.by_common
+    moved = pose_by_step(fit) @ found.by_common
     assert moved[:3] == pytest.approx(np.eye(3), abs=1e-6) and np.abs(moved[3:]).max() < 1e-8
     independent = PredictedPlaces(one.points, shift[:, :, :0], np.zeros((0, 0)), 9e-4 * shift)
     alone = sensitivity_of_draws(fit, aim, np.zeros(6), independent)

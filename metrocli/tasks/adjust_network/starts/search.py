@@ -217,8 +217,7 @@ def _alone(readings: NetworkReadings, levelled: Mask) -> _Search:
     shots = [int(search.whole[rows].sum()) for rows in search.rows]
     level = [bool(levelled[station]) for station, _ in readings.sightings.rounds]
     turned = [bool(np.isfinite(readings.stations.gamma[station])) for station, _ in readings.sightings.rounds]
-    # a known azimuth is that of the frame, and a levelled station has its
-    # vertical: both are worth more than many points
+    # a known azimuth is that of the frame, a levelled station has its vertical: both are worth more than many points
     begin = max(range(len(shots)), key=lambda i: (shots[i] > 0 and turned[i], shots[i] > 0 and level[i], shots[i]))
     search.begin_with(begin)
     search.run()
