@@ -13,14 +13,14 @@ from metrocli.adjust.outcome import Outcome
 from metrocli.adjust.robust import critical_value, robust_start
 from metrocli.adjust.rounds import adjust_with_iterated_weights, in_rounds
 from metrocli.adjust.solution import Residuals, Solution, residuals_of
-from metrocli.arrays import Array, Mask
+from metrocli.arrays import Array, Index, Mask
 from metrocli.errors import NotConvergedError, UndeterminedError
 from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.instruments import stations as s
 from metrocli.instruments import tracer as t
 from metrocli.tasks.adjust_network.datum import FREEDOMS, open_by_given
-from metrocli.tasks.adjust_network.groups import ROW, is_sighting
+from metrocli.tasks.adjust_network.groups import LENGTHS, ROW, is_sighting
 from metrocli.tasks.adjust_network.noise import component
 from metrocli.tasks.adjust_network.problem import Network
 from metrocli.tasks.adjust_network.settings import GIVEN, Settings
@@ -129,16 +129,31 @@ def _weighted(network: Network) -> Solution:
 
 def _robust(network: Network) -> dict[str, Block]:
     """Return values that gross errors do not spoil."""
-    groups = list(network.model.groups)
     names = [name for name in network.model.measured if is_sighting(network.model.group(name))]
-    wrong = contradicting(network, network.blocks)
-    # what contradicts the set-ups would pull them: it waits until they are joined
-    first = [
-        replace(group, weights=np.full(group.observations.count, _NONE)) if group.name in wrong else group
-        for group in groups
-    ]
-    state = robust_start(network.blocks.values(), first, names, network.datum) if names else dict(network.blocks)
-    return robust_start(state.values(), groups, (*names, *wrong), network.datum) if wrong else state
+    wrong, state = contradicting(network, network.blocks), dict(network.blocks)
+    if names:
+        # what contradicts the set-ups would pull them: it waits until they are joined
+        whole = {name: np.arange(network.model.group(name).observations.count) for name in wrong}
+        state = robust_start(state.values(), _waiting(network, whole), names, network.datum)
+    if not wrong:
+        return state
+    # what contradicts them still is left to be named: one bar of 90 m among two would bend the whole network; lengths
+    # take part, since they alone place their interferometers
+    still = {name: rows for name, rows in contradicting(network, state).items() if names and name != LENGTHS}
+    again = (name for name in wrong if name not in still)
+    return robust_start(state.values(), _waiting(network, still), (*names, *again), network.datum)
+
+
+def _waiting(network: Network, rows: Mapping[str, Index]) -> list[Group]:
+    """Return the groups of a network, with nearly no weight of some rows."""
+    groups = []
+    for group in network.model.groups:
+        if group.name in rows:
+            weights = np.ones(group.observations.count)
+            weights[rows[group.name]] = _NONE
+            group = replace(group, weights=weights)
+        groups.append(group)
+    return groups
 
 
 def _adjusted(used: _Used) -> AdjustedNetwork:

@@ -36,6 +36,14 @@ def test_one_reading_is_named(tmp_path: Path, metrocli: Metrocli) -> None:
     assert not (tmp_path / "result.h5").exists()
 
 
+def test_one_bar_of_two_does_not_bend_the_network(tmp_path: Path, metrocli: Metrocli) -> None:
+    """The median of two residuals is as far off as the wrong one: nothing but the set-ups tells which it is."""
+    net = hall()
+    (first, second, value), other = net.bars[0], net.bars[-1]
+    ran = metrocli("adjust-network", replace(net, bars=((first, second, value + 90_000.0), other)).write(tmp_path))
+    assert ran.code == 5 and "contradict the set-ups: bar" in ran.err and "by 9e+04 mm" in ran.err, ran.err
+
+
 @pytest.mark.alike
 @pytest.mark.parametrize("wrong", [length, height])
 def test_one_reading_is_left_out(wrong: Callable[[Network], Network], tmp_path: Path, metrocli: Metrocli) -> None:
