@@ -190,8 +190,10 @@ class Axis:
 
 
 def bracket(knots: Array, position: Array) -> tuple[Index, Array]:
-    """Return the lower knot of the interval of each position, and the position in the interval as a share, 0 to 1."""
-    # the end intervals go on beyond the knots: a position just outside is extrapolated
+    """Return the lower knot of the interval of each position, and the position as a share of the interval.
+
+    The share is 0 to 1 between the knots. The end intervals go on beyond them: a position just outside is extrapolated.
+    """
     lower = np.clip(np.searchsorted(knots, position, side="right") - 1, 0, len(knots) - 2)
     return lower, (position - knots[lower]) / (knots[lower + 1] - knots[lower])
 
