@@ -49,7 +49,7 @@ def words(job: Job[Settings, Files]) -> str:
 def test_an_image_with_names_in_another_order_is_named(seed: int) -> None:
     text = words(measured(seed, wrong=True))
     assert ODD in text and text.count("fits no view") == 1
-    assert "more views" not in text and "image_size and the poses" not in text
+    assert "more images" not in text and "image_size and the poses" not in text
 
 
 def test_right_images_are_not_named_and_a_wrong_one_can_be_left_out() -> None:

@@ -149,7 +149,7 @@ CASES = {
     "one row, cmm": Case("cmm", 4, ("1 readings in all: the pose of a camera needs at least 4",), rows(OBS, lambda table: table[:1])),
     "one row, part": Case("align", 4, ("there are fewer readings than unknowns: 2 readings, 7 unknowns",), rows(OBS, lambda table: table[:1])),
     "one view": Case(
-        "board", 4, ("undetermined: f, z of view", "what would determine it: more views"),
+        "board", 4, ("undetermined: f, z of view", "what would determine it: more images"),
         keep(lambda row: row[0] == "view01.png"), ("camera.estimate=[f,cx,cy]",),
     ),
     "all views parallel": Case(
