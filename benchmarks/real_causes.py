@@ -77,8 +77,8 @@ class Case:
 
     @property
     def first(self) -> bool:
-        """Whether it is the first of the names that the set as it is does not have."""
-        new = [one for one in self.data["effects"] if _named(one) not in self.as_it_is]
+        """Whether it is the first of the names but those that the set as it is has for other causes."""
+        new = [one for one in self.data["effects"] if _named(one) not in self.as_it_is - {self.truth}]
         return bool(new) and self.truth in [_named(new[0]), *map(_named, new[0]["alternatives"])]
 
     @property
@@ -86,7 +86,7 @@ class Case:
         """Whether a size below the true one is said to be excluded."""
         if self.truth is None or not self.size:
             return False
-        true = float(np.sqrt(np.mean(np.square(self.size))))
+        true = float(np.linalg.norm(self.size))
         said = [one for one in self.data["candidates"] if _named(one) == self.truth and one["status"] == "excluded"]
         return any(one["above"]["value"] < true for one in said)
 
