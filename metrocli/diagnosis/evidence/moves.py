@@ -11,6 +11,7 @@ from itertools import islice
 import numpy as np
 
 from metrocli.adjust.robust import SAME
+from metrocli.diagnosis.evidence.measurement import Measurement
 from metrocli.diagnosis.evidence.parts import CORRELATED, EFFECT, SCATTER, Fixed, Random
 from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.evidence.variances import Found, correlated_errors, noisier_groups, scattered_effects
@@ -147,7 +148,8 @@ def _noise(state: State, alone: bool) -> list[Move]:
     """
     kinds, known = [unit[0] for unit in state.measurement.units], state.measurement.noise
     # one of many units that is quieter than the others is no cause for anything
-    every = noisier_groups(state)
+    named = _by_effects(state.measurement)
+    every = [one for one in noisier_groups(state) if one[2] <= 1 or one[1] in known or one[1] not in named]
     groups = [
         group
         for group in every
@@ -169,6 +171,14 @@ def _noise(state: State, alone: bool) -> list[Move]:
             others = tuple(number for number in near if number not in noise and number not in known)
             found.append(Move(own[0][0], noise=noise, given=given, watched=others))
     return found
+
+
+def _by_effects(m: Measurement) -> set[int]:
+    """Return the variance groups of given values whose larger noise an effect names, such as the return to stops."""
+    every = (scatter[0].alternatives[0].effect for scatter in m.scatters)
+    blocks = {(m.job.model.places[key].index,) for effect in every if effect.noise for key in effect.keys}
+    names = {group.name for group in m.job.model.groups if group.chain.blocks in blocks}
+    return {number for number, (kind, name, _) in enumerate(m.units) if kind == DECLARED_SIGMA and name in names}
 
 
 def effects(state: State, most: int = 2) -> list[Move]:
