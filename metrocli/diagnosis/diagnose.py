@@ -215,11 +215,16 @@ def _left(
     """
     # the most specific first: a law, an unknown cause, a smooth error, and what repeated readings share
     job, misfit = state.measurement.job, gain.before**2 if gain is not None and gain.before else None
+    significant = [error for error in correlated if error.log_level < np.log(_CORRELATED)]
+    smooth = 0.0
+    if significant and job.noise_model != STRUCTURED:
+        # shares of a misfit in one unit: errors of angles do not add to those of lengths
+        smooth = sum((error.std * error.visible) ** 2 for error in correlated if error.unit == job.reading[0])
     law = next((law for law in laws if law.chosen), None)
     if law is not None:
         names = dict.fromkeys(name for term in law.terms for name in term.form.variables)
         where = tuple(name for _, name in law.terms[0].spot.where)
-        return RemainingStructure(law.p_value, tuple(names), where, law.size, _share(law.size, misfit))
+        return RemainingStructure(law.p_value, tuple(names), where, law.size, *_shares(law.size, misfit, smooth))
     for part in state.unknown:
         name = identified(state, part, with_rivals=False)
         size = _size(state, part)
@@ -228,22 +233,19 @@ def _left(
             (state.measurement.families[part.family].unknown,),
             (),
             size,
-            _share(size, misfit),
+            *_shares(size, misfit, smooth),
             job.noise_model == STRUCTURED,
         )
-    significant = [error for error in correlated if error.log_level < np.log(_CORRELATED)]
     if significant and job.noise_model != STRUCTURED:
         best = min(significant, key=lambda error: error.log_level)
         names = dict.fromkeys(error.covariate for error in significant)
         where = (best.place,) if best.place else ()
-        # shares of a misfit in one unit: errors of angles do not add to those of lengths
-        squares = sum((error.std * error.visible) ** 2 for error in correlated if error.unit == job.reading[0])
         return RemainingStructure(
             float(np.exp(best.log_level)),
             tuple(names),
             where,
             best.std * best.visible,
-            squares / misfit if misfit else None,
+            smooth / misfit if misfit else None,
         )
     if repeats is not None and repeats.lack_of_fit < _LACK_OF_FIT:
         return RemainingStructure(repeats.lack_of_fit, (REPEATS,))
@@ -252,8 +254,9 @@ def _left(
     return None
 
 
-def _share(size: float, misfit: float | None) -> float | None:
-    return size**2 / misfit if size and misfit else None
+def _shares(size: float, misfit: float | None, smooth: float) -> tuple[float | None, float]:
+    """Return the share of a misfit, and that of the squares of smooth errors beside it."""
+    return (size**2 / misfit, smooth / misfit) if size and misfit else (None, 0.0)
 
 
 def _size(state: State, part: Fixed) -> float:

@@ -171,7 +171,7 @@ class Diagnosis:
     def _little_is_left(self) -> bool:
         """Whether what is left is declared, or a small part of a misfit that identified effects explain."""
         left = self.left
-        return left is not None and (left.declared or (left.share is not None and left.share < _LITTLE))
+        return left is not None and (left.declared or (left.share is not None and left.share + left.beside < _LITTLE))
 
     @property
     def ended_early(self) -> str:

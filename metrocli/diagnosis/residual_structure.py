@@ -28,6 +28,8 @@ class RemainingStructure:
     """Its visible size: root mean square over those readings, in their unit"""
     share: float | None = None
     """Its share in the squares of held-out errors without the effects; None if no effect is identified"""
+    beside: float = 0.0
+    """Share of errors that vary smoothly beside it, and that are left too"""
     declared: bool = False
     """Whether the noise that the job declares includes it"""
 

@@ -63,11 +63,14 @@ def _of_console(block: str) -> Iterator[tuple[str, list[str]]]:
 
 
 def kind_of(page: Path, wanted: list[tuple[str, list[str]]]) -> str:
-    """The kind of job that a page is about: by its name or that of its sample, else by its first job."""
+    """The kind of job that a page is about: by its name or that of its sample, else by its first job or result."""
     for kind, (sample, *_) in SAMPLE.items():
         if kind == page.stem or sample == page.parent.name:
             return kind
-    return next((kind for command, _ in wanted for kind in SAMPLE if f" {kind} " in command), "multilaterate")
+    every = [(kind, command, f"results/{result}.h5") for command, _ in wanted for kind, (*_, result) in SAMPLE.items()]
+    by_job = [kind for kind, command, _ in every if f" {kind} " in command]
+    by_result = [kind for kind, command, result in every if result in command]
+    return next(iter(by_job + by_result), "multilaterate")
 
 
 def exit_code(page: Path, command: str) -> int:

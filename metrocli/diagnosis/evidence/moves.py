@@ -11,6 +11,7 @@ from itertools import islice
 import numpy as np
 
 from metrocli.adjust.robust import SAME
+from metrocli.diagnosis.evidence.measurement import Measurement
 from metrocli.diagnosis.evidence.parts import CORRELATED, EFFECT, SCATTER, Fixed, Random
 from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.evidence.variances import Found, correlated_errors, noisier_groups, scattered_effects
@@ -21,6 +22,8 @@ from metrocli.diagnosis.noise import AS_OTHERS, DECLARED_SIGMA
 from metrocli.errors import InputError
 from metrocli.frozen import dataclass
 
+ALIKE = float(np.log(20.0))
+"""Difference of scores up to which two causes explain the readings alike"""
 _CORRELATED = 4
 """Largest number of correlated errors: what more of them explain is small beside these"""
 _AT_ONCE = 60
@@ -147,7 +150,8 @@ def _noise(state: State, alone: bool) -> list[Move]:
     """
     kinds, known = [unit[0] for unit in state.measurement.units], state.measurement.noise
     # one of many units that is quieter than the others is no cause for anything
-    every = noisier_groups(state)
+    named = _by_effects(state.measurement)
+    every = [one for one in noisier_groups(state) if one[2] <= 1 or one[1] in known or one[1] not in named]
     groups = [
         group
         for group in every
@@ -171,6 +175,14 @@ def _noise(state: State, alone: bool) -> list[Move]:
     return found
 
 
+def _by_effects(m: Measurement) -> set[int]:
+    """Return the variance groups of given values whose larger noise an effect names, such as the return to stops."""
+    every = (scatter[0].alternatives[0].effect for scatter in m.scatters)
+    blocks = {(m.job.model.places[key].index,) for effect in every if effect.noise for key in effect.keys}
+    names = {group.name for group in m.job.model.groups if group.chain.blocks in blocks}
+    return {number for number, (kind, name, _) in enumerate(m.units) if kind == DECLARED_SIGMA and name in names}
+
+
 def effects(state: State, most: int = 2) -> list[Move]:
     """Return the effects, and unknown causes, of the largest net gains.
 
@@ -179,23 +191,28 @@ def effects(state: State, most: int = 2) -> list[Move]:
     """
     m = state.measurement
     taken = {m.alternative(part.key).form for part in (*state.named, *state.unknown)}
-    found: list[tuple[float, int, int, float]] = []
+    found: list[tuple[float, int, int, float, float]] = []
     for family in range(len(m.families)):
         gain, price, explained = state.gains_of_family(family)
         net = gain - price
         for at in np.argsort(-net)[:4].tolist():
             if net[at] > -1 and gain[at] > 0 and m.alternative((family, at)).form not in taken:
-                found.append((float(net[at]), family, at, float(explained[at])))
+                found.append((float(net[at]), family, at, float(explained[at]), float(gain[at])))
     found.sort(reverse=True)
     chosen = (entering for entering in found if not _is_of_one_reading(state, *entering[1:]))
-    return [Move(net, (m.effect(family, at),)) for net, family, at, _ in islice(chosen, most)]
+    return [Move(net, (m.effect(family, at),)) for net, family, at, *_ in islice(chosen, most)]
 
 
-def _is_of_one_reading(state: State, family: int, number: int, explained: float) -> bool:
-    """Return whether the error of one reading changes what the state leaves as an alternative does."""
+def _is_of_one_reading(state: State, family: int, number: int, explained: float, gain: float) -> bool:
+    """Return whether the error of one reading changes what the state leaves as an alternative does.
+
+    It does not where the rest, little beside a large error, is beyond chance: a pose that is off shows most in one of
+    its readings.
+    """
     m = state.measurement
-    _, rank, by_readings = state.of_readings()
+    gains, rank, by_readings = state.of_readings()
     alike = (rank > 0) & (rank <= m.families[family].columns.parameters) & (by_readings > SAME * explained)
+    alike &= gains > gain - ALIKE
     rows = m.places[alike]
     if not len(rows):
         return False

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from metrocli.diagnosis.evidence.moves import Move, effects, moves, readings
+from metrocli.diagnosis.evidence.moves import ALIKE, Move, effects, moves, readings
 from metrocli.diagnosis.evidence.parts import CORRELATED, Fixed, Random
 from metrocli.diagnosis.evidence.refined import refined
 from metrocli.diagnosis.evidence.scored import at_sizes
@@ -28,8 +28,6 @@ _NEAR = 3.0
 _MOST_TRIED = 3
 _SWAPS, _CERTAIN, _TRIED = 3, 30.0, 3
 """Rounds of swaps, the net evidence beyond which a part is not tried to be replaced, and by how many others"""
-_ALIKE = float(np.log(20.0))
-"""Difference of scores up to which two causes explain the readings alike"""
 _NEARLY = float(np.log(5.0))
 """Difference up to which an effect is preferred to a correlated error: real readings nearly always have one"""
 
@@ -111,11 +109,11 @@ def _best(state: State, possible: Sequence[Move]) -> State | None:
             break
     best = max(tried, key=lambda one: one[0])
     chosen = best[2]
-    alike = [trial for trial in tried if trial[0] > best[0] - _ALIKE]
+    alike = [trial for trial in tried if trial[0] > best[0] - ALIKE]
     # a sigma that the job states explains as much as an effect at all places: it is what can be corrected
     given = [one for one in alike if one[2].given]
     # so can an effect: noise of its place, or a correlated error, does not say what is wrong there
-    least = best[0] - (_ALIKE if chosen.noise is not None else _NEARLY)
+    least = best[0] - (ALIKE if chosen.noise is not None else _NEARLY)
     says_little = chosen.noise is not None or chosen.has_correlated
     names = [one for one in alike if one[2].is_cause and one[0] > least] if says_little else []
     return next(iter(given), max(names, key=lambda one: one[0], default=best))[1]()
@@ -204,7 +202,7 @@ def _margin(state: State, other: State, gone: Fixed | Random) -> float:
     that explains the readings alike.
     """
     if len(other.measurement.noise) > len(state.measurement.noise):
-        return _ALIKE
+        return ALIKE
     more = len(other.named) - len(state.named)
     if more > 0:
         return -_NEARLY if isinstance(gone, Random) and gone.kind == CORRELATED else _GAINED

@@ -32,6 +32,7 @@ _WORSE = 10.0
 _SPARE = 3
 """Redundant lengths that a tracer needs before its misfit is meaningful"""
 EQUAL = "all lengths are equal: is this the right column?"
+NOTHING_FITS = "no other unit, sign or order of rows that was tried fits"
 _AS_LONG = 5
 """Steps of an adjustment that take as long as one start"""
 
@@ -222,7 +223,7 @@ def _strange(seen: LengthsToTracers, i: int, misfit: float, bad: int) -> Fault:
     if np.ptp(seen.length) == 0:
         return Fault(text, seen.file, hint=EQUAL)
     of = "another set-up" if bad < len(tracers.names) else "another list of points"
-    nothing = f"no other unit, sign or order of rows that was tried fits: check that they are not those of {of}"
+    nothing = f"{NOTHING_FITS}: check that they are not those of {of}"
     hint = next((words for words, other in _read_otherwise(lengths) if _fits(seen, points, other)), nothing)
     return Fault(text, seen.file, hint=hint)
 

@@ -280,8 +280,8 @@ def test_balls_of_other_names_are_named(tmp_path: Path) -> None:
         solved(job)
 
 
-@pytest.mark.slow
-def test_a_wrong_sense_is_named_by_lengths_too(tmp_path: Path, metrocli: Callable[..., Any]) -> None:
+def counting_backwards(tmp_path: Path) -> Path:
+    """Return a job of lengths whose file has C with the other sense."""
     rng = np.random.default_rng(13)
     machine = sim.drawn(sim.KINDS["head-table"], rng)
     machine.tables = {name: 0 * values for name, values in machine.tables.items()}
@@ -290,6 +290,18 @@ def test_a_wrong_sense_is_named_by_lengths_too(tmp_path: Path, metrocli: Callabl
     text = job.read_text().replace("estimate: all", "estimate: locations")
     assert "periodic: true, sense: 1" in text
     job.write_text(text.replace("periodic: true, sense: 1", "periodic: true, sense: -1"))
-    ran = metrocli("calibrate-machine", job)
+    return job
+
+
+def test_lengths_that_nothing_fits_leave_the_settings_to_be_tried(tmp_path: Path) -> None:
+    """A fault with a hint, such as a unit that fits, would end the search for a wrong sense."""
+    with pytest.raises(InputError) as refused:
+        solved(counting_backwards(tmp_path))
+    assert {fault.hint for fault in refused.value.faults} == {None}
+
+
+@pytest.mark.slow
+def test_a_wrong_sense_is_named_by_lengths_too(tmp_path: Path, metrocli: Callable[..., Any]) -> None:
+    ran = metrocli("calibrate-machine", counting_backwards(tmp_path))
     assert ran.code == 3
     assert "C counts the other way" in ran.err and "write sense: 1" in ran.err

@@ -20,9 +20,9 @@ from metrocli.units import parse_quantity
 Metrocli = Callable[..., Any]
 
 
-def made(seed: int, scatter: float, alone: bool = False) -> stops.Measurement:
+def made(seed: int, scatter: float, count: int = 80, alone: bool = False) -> stops.Measurement:
     rng = np.random.default_rng([480, seed])
-    return stops.measurement(rng, 80).read(rng, scatter, alone=alone)
+    return stops.measurement(rng, count).read(rng, scatter, alone=alone)
 
 
 def row_of(job: AdjustedJob) -> dict[str, Any]:
@@ -39,6 +39,19 @@ def test_stops_that_scatter_are_one_finding(scatter: float, declared: float | No
     assert one.effect.name == "repeatability"
     more = np.sqrt(scatter**2 - (declared or 0.0) ** 2)
     assert abs(one.std - more) < 3 * one.spread < 0.5 * more
+
+
+def test_a_declared_repeatability_that_is_too_small_is_that_effect() -> None:
+    """It is no wrong sigma of given values: a user gives none of a stop."""
+    found = diagnose(made(1, 3e-3, 30).adjusted(1e-3), quick=True)
+    assert ([one.effect.name for one in found.scatters], found.variance_groups) == (["repeatability"], ())
+
+
+@pytest.mark.slow
+def test_a_declared_repeatability_that_is_too_large_is_a_wrong_sigma() -> None:
+    found = diagnose(made(1, 1e-3).adjusted(5e-3))
+    ((group,), scatters) = found.variance_groups, found.scatters
+    assert (group.name, scatters) == ("prior of stop", ()) and 0.1 < group.ratio < 0.4
 
 
 @pytest.mark.slow

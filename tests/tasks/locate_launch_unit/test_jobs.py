@@ -187,6 +187,13 @@ def test_diagnose_names_what_was_planted(job: Path, metrocli: Callable[..., obje
     assert extended.code == 0, extended.err  # type: ignore[attr-defined]
 
 
+def test_a_bad_pose_is_no_set_of_wrong_readings(job: Path, metrocli: Callable[..., object]) -> None:
+    """Its distance is off by 440 standard deviations, its angles by 20: that is more than the error of one reading."""
+    metrocli("simulate", job, "--out", "new", "--effect", PLANTED["bad-pose.P7"][0], "--seed", "5")
+    found = json.loads(metrocli("diagnose", job, "--quick", "--json").out)  # type: ignore[attr-defined]
+    assert [(e["name"], e["where"]) for e in found["effects"]] == [("bad-pose", {"pose": "P7"})]
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("distances", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_what_of_a_bad_pose_is_not_seen_has_no_standard_deviation(

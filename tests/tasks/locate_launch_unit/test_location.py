@@ -80,10 +80,11 @@ def test_distances_on_some_poses_only() -> None:
 )
 def test_the_covariance_is_honest(n: int, distances: bool) -> None:
     """75 draws: chi-square of the error in the stated covariance, and sigma0, are as they should be."""
-    exact = anywhere(n, 11, distances)
+    # draws of its own: those of a shared generator depend on which tests ran before, and one order in some hundred fails
+    exact, rng = anywhere(n, 11, distances), np.random.default_rng([31, n])
     squares, sigma0 = [], []
     for _ in range(75):
-        result = located(exact.noisy(RNG))
+        result = located(exact.noisy(rng))
         error = off(result, exact.truth)
         squares.append(error @ np.linalg.solve(result.covariance, error))
         sigma0.append(result.statistics["sigma0"])

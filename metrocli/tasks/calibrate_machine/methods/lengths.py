@@ -26,7 +26,7 @@ from metrocli.tasks.calibrate_machine.problem import MachineProblem, conditions,
 from metrocli.tasks.calibrate_machine.settings import Settings
 from metrocli.tasks.shared.environment import air_of, priors_of, unused
 from metrocli.tasks.shared.lengths import PathNoise, stop_priors, stops_of
-from metrocli.tasks.shared.tracers import LengthsToTracers, observed, places_of, tracers_of
+from metrocli.tasks.shared.tracers import NOTHING_FITS, LengthsToTracers, observed, places_of, tracers_of
 
 READINGS = "lengths"
 
@@ -106,14 +106,15 @@ def lengths(settings: Settings, table: Table, files: Files = NO_FILES) -> Machin
 def _places(seen: LengthsToTracers, machine: Machine) -> Array:
     """Return the places of the stations at the start; raises InputError if no place fits their lengths.
 
-    Where axes turn, chain, sense or `at` may be wrong: a fault that asks nothing lets a task try them.
+    Where axes turn, chain, sense or `at` may be wrong: a fault without a hint lets a task try them.
     """
     try:
         return places_of(seen)
     except InputError as error:
         if not machine.turns:
             raise
-        faults = [replace(fault, hint=None) if (fault.hint or "").endswith("?") else fault for fault in error.faults]
+        nothing = [(fault.hint or "").startswith(NOTHING_FITS) for fault in error.faults]
+        faults = [replace(f, hint=None) if none else f for f, none in zip(error.faults, nothing, strict=True)]
         raise InputError(faults) from error
 
 

@@ -83,7 +83,7 @@ def test_a_shutter_in_every_image_is_one_effect_with_a_standard_deviation() -> N
     motion = rng.normal(0, 2e-3, (len(scene.time), 2))
     job = sought(rolled(scene, rng, motion))
     diagnosis = diagnose(job)
-    assert [one.found.effect.name for one in diagnosis.scatters] == ["rolling-shutter"]
+    assert [one.effect.name for one in diagnosis.scatters] == ["rolling-shutter"]
     model = with_effect_everywhere(job.model, shutter("calibrate-camera"), 2e-3)
     solution = adjust(model.blocks.values(), model.groups, model.datum)
     block = model.added[-1].block
@@ -97,7 +97,8 @@ def test_one_motion_in_all_images_is_a_skew_and_an_aspect_of_the_lens() -> None:
     """The page: it cannot be told from them."""
     rng = np.random.default_rng(35)
     scene = board_scene(rng)
-    diagnosis = diagnose(sought(rolled(scene, rng, np.tile([3e-3, 2e-3], (len(scene.time), 1)))))
+    # half of it is within chance of a tilt of the sensor by 5 degrees, which is one cause, not two
+    diagnosis = diagnose(sought(rolled(scene, rng, np.tile([6e-3, 4e-3], (len(scene.time), 1)))))
     assert {one.effect.alternative.effect.name for one in diagnosis.findings} == {"axis-skew", "aspect-ratio"}
     assert not diagnosis.scatters
 
