@@ -133,7 +133,9 @@ def test_at_zero_it_changes_nothing(entry: tuple[str, Effect]) -> None:
     assert np.allclose(predicted(zero), predicted(model_of(kind, effect)), rtol=0, atol=1e-12)
 
 
-@pytest.mark.parametrize("share", [pytest.param(0.0, id="at 0", marks=pytest.mark.slow), pytest.param(1.0, id="at its size")])
+@pytest.mark.parametrize(
+    "share", [pytest.param(0.0, id="at 0", marks=pytest.mark.slow), pytest.param(1.0, id="at its size")]
+)
 def test_derivatives_are_differences(entry: tuple[str, Effect], share: float) -> None:
     kind, effect = entry
     model = with_one(kind, effect, {})

@@ -75,7 +75,9 @@ def test_two_cameras_given_as_one_are_named(seed: int, tmp_path: Path, metrocli:
     assert ran.code == 0 and "mm from left" in ran.out, ran.out
 
 
-@pytest.mark.parametrize("back", [pytest.param(False, id="other places", marks=pytest.mark.slow), pytest.param(True, id="the same places")])
+@pytest.mark.parametrize(
+    "back", [pytest.param(False, id="other places", marks=pytest.mark.slow), pytest.param(True, id="the same places")]
+)
 @pytest.mark.parametrize("touched", [False, True], ids=["one state", "a lens that was touched"])
 def test_two_series_of_one_camera_are_no_two_cameras(
     touched: bool, back: bool, tmp_path: Path, metrocli: Metrocli
