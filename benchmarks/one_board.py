@@ -85,7 +85,9 @@ def main() -> int:
         (HERE / f"{camera}-board.yaml").write_text(JOB.format(camera=camera, effects=EFFECTS))
         report = _ran("diagnose", f"{camera}.yaml", "--out", f"{camera}-extended.yaml")
         named = [entry["name"] for entry in report["effects"]]
-        print(f"{camera}: {report['verdict']}; names: {', '.join(named) or 'none'}")
+        masked = [entry["name"] for error in report["processes"] for entry in error["instead_of"]]
+        print(f"{camera}: {report['verdict']}; names: {', '.join(named) or 'none'}", end="; ")
+        print(f"named without what varies smoothly: {', '.join(dict.fromkeys(masked)) or 'none'}")
         found.append(_ran("calibrate-camera", f"{camera}-board.yaml", "--force")["estimates"])
     for effect, bars in (("stretched-targets", BAND), ("target-plane-bend", {})):
         squares, freedoms = 0.0, 0

@@ -91,14 +91,19 @@ class Case:
         return any(one["above"]["value"] < true for one in said)
 
     @property
-    def agreed(self) -> list[bool]:
-        """Of each parameter of the truth, whether two halves agree within the 95 % interval of their difference."""
+    def differences(self) -> list[float]:
+        """Of each parameter of the truth, the difference between two halves in its standard uncertainty."""
         sizes = [one["parameters"] for half in self.halves for one in half["effects"] if _named(one) == self.truth]
         if len(sizes) < 2:
             return []
         pairs = [(one, sizes[1][name]) for name, one in sizes[0].items() if name in sizes[1]]
         known = [(one, other) for one, other in pairs if one["std"] and other["std"]]
-        return [abs(a["value"] - b["value"]) < 1.96 * np.hypot(a["std"], b["std"]) for a, b in known]
+        return [float((a["value"] - b["value"]) / np.hypot(a["std"], b["std"])) for a, b in known]
+
+    @property
+    def agreed(self) -> list[bool]:
+        """Of each parameter of the truth, whether two halves agree within the 95 % interval of their difference."""
+        return [abs(z) < 1.96 for z in self.differences]
 
     def __str__(self) -> str:
         word = "" if self.truth is None else f"{'named' if self.found else 'MISSED'}{', first' if self.first else ''}"
@@ -107,6 +112,7 @@ class Case:
         text = f"{self.name:44} {self.seconds:5.1f} s  {self.data['verdict']:12} {word:13} {listed[:90]}"
         text += f"  FALSE: {', '.join(wrong)}" if wrong else ""
         text += "  FALSE EXCLUSION" if self.false_exclusion else ""
+        text += f"  halves differ by z = {', '.join(f'{z:.1f}' for z in self.differences)}" if self.differences else ""
         return text + (f"  then {self.extended}" if self.extended else "")
 
 

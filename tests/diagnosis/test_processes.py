@@ -118,7 +118,7 @@ def test_a_clean_report_states_that_uncertainties_are_without_the_smooth_error()
 def test_names_before_processes_are_raced_may_be_chance_and_the_report_states_it() -> None:
     found, _ = wavering(5, "dead-path-drift", 6.0)
     assert found.findings
-    stated = "The names may not have been held against smooth random errors yet: some may be chance."
+    stated = "Smooth random errors are tested last: some of the effects found may be spurious."
     assert stated in of_diagnosis(replace(found, limited=5.0, correlated_errors=()), None).splitlines()
     assert stated not in of_diagnosis(replace(found, limited=5.0), None)
     assert stated not in of_diagnosis(replace(found, correlated_errors=()), None)

@@ -91,7 +91,7 @@ def of_diagnosis(diagnosis: Diagnosis, extended: Extended | None, full: bool = F
 def _early(diagnosis: Diagnosis) -> Iterator[str]:
     """Yield what a search that ended early may not have done: smooth errors are raced after the names."""
     if diagnosis.findings and not diagnosis.correlated_errors:
-        yield "The names may not have been held against smooth random errors yet: some may be chance."
+        yield "Smooth random errors are tested last: some of the effects found may be spurious."
 
 
 def _of_part(part: MemberSubset) -> str:

@@ -118,10 +118,11 @@ class Fit:
 
     @cached_property
     def slopes(self) -> tuple[Array, Array, Array]:
-        """What is found and what is expected of each random component, and the bend of the likelihood by its ln.
+        """What is found and what is expected of each random component, and twice its bend.
 
         The derivative of the likelihood by ln of a variance is half of found less expected: `nu u'u/(g S)` and the
-        effective number of its coefficients. The bend is half the sum of squares of their shares.
+        effective number of its coefficients. The last is twice the bend: the sum of squares of
+        their shares.
         """
         from scipy.linalg.lapack import dpotri
 

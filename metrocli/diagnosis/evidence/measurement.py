@@ -77,7 +77,7 @@ class Measurement:
     def squares(self) -> float:
         """Squares of the residual, with those that the declared noise counts for."""
         r = float(self.system.residual @ self.system.residual)
-        # at most 1: a larger noise is held against the declared one, and a smaller one is taken as it is
+        # at most 1: where the noise is larger than declared, the declared one counts; a smaller one counts as found
         return r + PRIOR * min(1.0, r / max(self.system.dof, 1))
 
     @cached_property

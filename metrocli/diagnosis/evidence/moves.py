@@ -106,7 +106,7 @@ class Move:
 def _settled(state: State, noise: Mapping[int, float], watched: Sequence[int]) -> tuple[float, dict[int, float]]:
     """Return the score with the noise of variance groups, estimated until it stays, and their ratios.
 
-    Groups that have a noise of their own already are estimated with them: it was that beside quieter ones.
+    Groups that have a noise of their own already are estimated anew with them, since the noise of the others changes.
     """
     # with no noise before, the first estimate is taken in any case; with some, the new one must not be worse
     best, logs = state.score if state.measurement.noise else -np.inf, state.logs
@@ -120,7 +120,7 @@ def _settled(state: State, noise: Mapping[int, float], watched: Sequence[int]) -
         best, held, logs = trial.score, tried, trial.logs
         if not trial.others and all(abs(step) < np.log(_STAYS) for step in change.values()):
             break
-        # steps shrink by a factor, as the readings of a group also determine what is subtracted from them: all at once
+        # an estimate goes only a part of the way, since the group had a say in the unknowns: the rest is added at once
         shrunk = {number: step / before[number] if before.get(number) else 0.0 for number, step in change.items()}
         tried = {
             number: ratio * float(np.exp(change[number] / (1 - np.clip(shrunk[number], 0.0, _SHRINKS))))

@@ -20,7 +20,7 @@ from metrocli.diagnosis.noise import AS_OTHERS
 
 _MOST = 60
 _GAINED = 0.05
-"""Least gain of the score by a move: less is what sizes have that are not quite the likeliest"""
+"""Least gain of the score by a move: a smaller one may come from sizes that have not converged"""
 _SURE = 2.5
 """Net evidence below which a part is left out on trial"""
 _NEAR = 3.0

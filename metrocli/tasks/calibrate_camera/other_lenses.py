@@ -27,7 +27,7 @@ _BETTER = 0.5
 _FEWEST = 0.5
 """Smallest reach of the readings in units of the focal length: of a narrow view both models describe the lens"""
 _WHOLE = ("fx", "fy", "cx", "cy", "k1", "k2", "k3", "p1", "p2")
-"""What a pinhole estimates before a fisheye is held against it"""
+"""What a pinhole estimates before a fisheye is compared with it"""
 _FITS = 1.1
 """Residuals of a fisheye fit up to so many times the declared noise; up to so many times them a pinhole is as good"""
 _STEPS = 100
