@@ -139,7 +139,7 @@ def _robust(network: Network) -> dict[str, Block]:
         return state
     # what contradicts them still is left to be named: one bar of 90 m among two would bend the whole network; lengths
     # take part, since they alone place their interferometers
-    still = {name: rows for name, rows in contradicting(network, state).items() if names and name != LENGTHS}
+    still = {name: rows for name, rows in contradicting(network, state).items() if name != LENGTHS}
     again = (name for name in wrong if name not in still)
     return robust_start(state.values(), _waiting(network, still), (*names, *again), network.datum)
 
