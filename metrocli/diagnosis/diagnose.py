@@ -15,7 +15,7 @@ from metrocli.adjust.clusters.robust import STRUCTURED
 from metrocli.diagnosis.adjusted_job import AdjustedJob, Budget, Ordered
 from metrocli.diagnosis.correlated_error import CorrelatedError
 from metrocli.diagnosis.detectability import Detectability, design
-from metrocli.diagnosis.evidence.folds import gain_of_parts, gains
+from metrocli.diagnosis.evidence.folds import gain_of_parts, gains, with_jackknife
 from metrocli.diagnosis.evidence.gain import Gain
 from metrocli.diagnosis.evidence.identified import IdentifiedEffect, all_identified, identified
 from metrocli.diagnosis.evidence.measured_job import measurement_of
@@ -45,6 +45,8 @@ _CORRELATED = 0.005
 _LEVEL = -float(np.log(LEVEL))
 _LACK_OF_FIT = 0.005
 """Level of the lack-of-fit test of repeated readings below which structure is reported"""
+_NOTHING = 0.05
+"""Level from which the size of an effect may be nothing, beside what its units scatter by"""
 LIMIT = 120.0
 """CPU time for all searches [s]"""
 
@@ -128,11 +130,12 @@ def _confirmed(
     The log score of held-out readings and the net evidence of all are both logarithms of odds: an effect stays while
     their sum is positive. Folds that lie between others show little of a jump, whose evidence is large. In a quick
     diagnosis the log score alone has to be: its evidence is that in white noise. A smooth effect, which fits whatever
-    readings share, stays where its gain is shown.
+    readings share, stays where its gain is shown. Of effects whose sizes are not beyond what units scatter by, that of
+    the least evidence leaves: two that nearly cancel each other may both pay, at sizes that hinge on a few images.
     """
     state, lost = with_shown(state)
     while True:
-        names = all_identified(state)
+        names = all_identified(state) if quick else with_jackknife(state, all_identified(state))
         gained = gains(state, names, ordered, nested=not quick) if names else []
         nets = dict(zip((part.key for part in state.fixed), state.without_fixed().tolist(), strict=True))
         against = [
@@ -141,8 +144,12 @@ def _confirmed(
             if gain.log_score + (0.0 if quick else nets[part.key]) <= 0
         ]
         if not against:
-            return state, names, gained, tuple(lost)
-        lost += [Unconfirmed(str(name.alternative), gain.log_score) for _, name, gain in against]
+            every = zip(state.named, names, gained, strict=False)
+            unsure = [one for one in every if one[1].level_of_size > _NOTHING]
+            if not unsure:
+                return state, names, gained, tuple(lost)
+            against = [min(unsure, key=lambda one: nets[one[0].key])]
+        lost += [Unconfirmed(str(name.alternative), gain.log_score, name.level_of_size) for _, name, gain in against]
         state = state.minus([part for part, _, _ in against])
 
 

@@ -64,7 +64,7 @@ class EffectSize:
 
 
 def sizes(job: AdjustedJob, name: IdentifiedEffect) -> tuple[EffectSize, ...]:
-    """Return the estimated parameters of a named effect, with standard uncertainties for the noise that was found."""
+    """Return the estimated parameters of a named effect, with the standard uncertainties of its covariance."""
     alternative = name.alternative
     block, row = _own_row(extended_model(job, [name]), name)
     before = job.model.blocks.get(block.name)

@@ -79,11 +79,13 @@ class RandomEffect:
 
 @dataclass(frozen=True)
 class Unconfirmed:
-    """An effect that the readings seem to require, but that predicts held-out readings no better."""
+    """An effect that the readings seem to require, but that predicts held-out readings no better or may be nothing."""
 
     name: str
     """Of the effect, with its place"""
     log_score: float
+    size_level: float = 0.0
+    """Level at which its size differs from 0 beside what it changes without single units"""
 
 
 @dataclass(frozen=True)

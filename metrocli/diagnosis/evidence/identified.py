@@ -54,7 +54,7 @@ class IdentifiedEffect:
     values: Array
     """Estimated parameters (one-step, linear)"""
     covariance: Array
-    """Covariance of the parameters with the estimated noise"""
+    """Covariance of the parameters with the estimated noise, or with what leaving out units shows"""
     seen: Mask
     """Which parameters the readings determine together; the others are taken as 0"""
     apart: Mask
@@ -65,6 +65,15 @@ class IdentifiedEffect:
     shows: float
     """Norm of its visible part in the readings, in standard deviations of the declared noise"""
     aliases: tuple[Alias, ...] = ()
+
+    @property
+    def level_of_size(self) -> float:
+        """Level at which its size differs from 0 beside its covariance (chi-square)."""
+        from scipy.special import chdtrc
+
+        own, q = self.values[self.seen], int(self.seen.sum())
+        inverse = np.linalg.pinv(self.covariance[np.ix_(self.seen, self.seen)], hermitian=True)
+        return float(chdtrc(q, own @ inverse @ own)) if q else 0.0
 
     @property
     def held(self) -> tuple[str, ...]:

@@ -14,7 +14,7 @@ import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index, Mask
-from metrocli.diagnosis.evidence.parts import READINGS, Fixed
+from metrocli.diagnosis.evidence.parts import LARGEST, READINGS, Fixed
 from metrocli.diagnosis.evidence.prices import FURTHER, OF_ALL, gain_of_columns
 from metrocli.diagnosis.evidence.products import NEVER_HELD, local_columns, local_part, shared_parts
 from metrocli.diagnosis.evidence.scored import Scored
@@ -78,11 +78,9 @@ class State(Scored):
 
     def seen(self, values: Array) -> Array:
         """Return what the state leaves of values (rows, ...), `P values`."""
-        if not self.members_are_free:
-            return np.asarray(values - self.basis.combined(self.basis.coordinates(values)))
-        basis = self.measurement.system.basis
-        left = values - basis.combined(basis.coordinates(values))
-        return np.asarray(left - self.entered @ np.tensordot(self.entered.T, values, 1))
+        basis = self.measurement.system.basis if self.members_are_free else self.basis
+        left = np.asarray(values - basis.combined(basis.coordinates(values)))
+        return left - self.entered @ np.tensordot(self.entered.T, values, 1) if self.members_are_free else left
 
     @cached_property
     def residual(self) -> Array:
@@ -90,9 +88,10 @@ class State(Scored):
         left = self.measurement.system.residual
         if not self.members_are_free:
             return self.seen(left)
-        ends = np.cumsum([column.shape[1] for column in self._columns])[:-1]
-        sizes = np.split(self.fit.sizes, ends) if self._columns else []
-        return np.asarray(left - sum(x @ own for x, own in zip(self._columns, sizes, strict=True)))
+        ends = np.cumsum([column.shape[1] for column in self._columns])
+        return np.asarray(
+            left - sum(x @ self.fit.sizes[b - x.shape[1] : b] for x, b in zip(self._columns, ends, strict=True))
+        )
 
     @cached_property
     def members_are_free(self) -> bool:
@@ -259,8 +258,10 @@ class State(Scored):
         t, q = self.of_family(family)
         gain = gain_of_columns(t, q, self.fit.squares, self.freedoms)
         price = self.measurement.prices.of_ranks(family, q)
-        if self.measurement.families[family].unknown:
-            return gain, price + OF_ALL, t
+        if (group := self.measurement.families[family]).unknown:
+            # as large as a correlated error may be, root mean square
+            beyond = group.changes(*self.left(family)) > np.exp(LARGEST / 2) * self.measurement.system.rows**0.5
+            return np.where(beyond, 0.0, gain), price + OF_ALL, t
         return gain, price + (FURTHER if self.named or self.readings else 0.0), t
 
     def gains_of_readings(self) -> tuple[Array, Array, Array]:
@@ -273,9 +274,7 @@ class State(Scored):
 
         Without a part if its directions `taken` are given (`taken_by`).
         """
-        if taken is None:
-            return self._of_readings
-        return self._without(taken)
+        return self._of_readings if taken is None else self._without(taken)
 
     @cached_property
     def _of_readings(self) -> tuple[Array, Array, Array]:

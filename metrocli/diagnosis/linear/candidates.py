@@ -93,6 +93,11 @@ class CandidateGroup:
         """Name, number of alternatives and number of columns of each, by which families of other tests are matched."""
         return self.name, self.columns.count, self.columns.parameters
 
+    def changes(self, gram: Array, right: Array) -> Array:
+        """Return what each alternative changes in all readings, norms (alternatives,), at the size that fits best."""
+        sizes = np.linalg.pinv(gram, hermitian=True) @ right[:, :, None]
+        return np.asarray(np.linalg.norm(sizes[:, :, 0] * self.raw, axis=1))
+
     def absorbed_by(self, system: Linearised, chosen: Sequence[int]) -> Array:
         """Return the coordinates of what the unknowns absorb of some alternatives, (unknowns, chosen, parameters)."""
         full = self.columns.whole(chosen, system.rows)
@@ -252,8 +257,7 @@ def _absent(model: Model, effect: Effect) -> list[tuple[str, ...]]:
     same = [extra for extra in model.added if (extra.effect.name, extra.effect.by) == (effect.name, effect.by)]
     added = [extra for extra in same if extra.columns and not extra.std]
     there = {place for extra in added for place in extra.instances}
-    places = instances(model, effect)
-    return places if effect.scanned else [place for place in places if place not in there]
+    return [place for place in instances(model, effect) if effect.scanned or place not in there]
 
 
 def _columns(

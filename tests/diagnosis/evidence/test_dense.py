@@ -42,6 +42,15 @@ def number_of(m: Measurement, name: str, by: str) -> int:
     return next(i for i, one in enumerate(m.knots) if (one.functions.name, one.functions.by) == (name, by))
 
 
+def number_of_effect(m: Measurement, name: str) -> int:
+    return next(i for i, family in enumerate(m.families) if family.name == name)
+
+
+def with_residual(m: Measurement, errors: Array) -> Measurement:
+    """Return a measurement with what the unknowns leave of some errors as its residual."""
+    return replace(m, system=replace(m.system, residual=m.system.seen(errors)), held={}, fits={})
+
+
 def parts(kind: str) -> tuple[list[Fixed], list[Random], list[float]]:
     """Return some fixed and random parts of each sort, with ln of variances."""
     m = measurement(kind)
