@@ -87,6 +87,13 @@ class Unconfirmed:
     size_level: float = 0.0
     """Level at which its size differs from 0 beside what it changes without single units"""
 
+    @property
+    def against(self) -> str:
+        """What speaks against it, in words."""
+        if self.log_score <= 0:
+            return f"log score {self.log_score:+.1f}"
+        return f"its size changes so much without single parts that it may be nothing, p = {self.size_level:.2g}"
+
 
 @dataclass(frozen=True)
 class Finding:

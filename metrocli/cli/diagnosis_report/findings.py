@@ -16,7 +16,7 @@ from metrocli.diagnosis.adjusted_job import AdjustedJob, MemberSubset
 from metrocli.diagnosis.detectability import Detectability
 from metrocli.diagnosis.evidence.gain import Gain
 from metrocli.diagnosis.extended_fit import EffectSize
-from metrocli.diagnosis.findings import Diagnosis, Finding, RandomEffect, Unconfirmed
+from metrocli.diagnosis.findings import Diagnosis, Finding, RandomEffect
 from metrocli.diagnosis.job_entries import proposed_correlated, proposed_noise
 from metrocli.diagnosis.laws.search import Law
 from metrocli.diagnosis.wrong_readings import Outlier
@@ -52,7 +52,7 @@ def of_diagnosis(diagnosis: Diagnosis, extended: Extended | None, full: bool = F
     parts += [list(_about_scatter(scatter)) for scatter in diagnosis.scatters]
     parts += [list(_about(finding)) for finding in findings[:_DESCRIBED]]
     if diagnosis.unconfirmed:
-        lost = ", ".join(f"{one.name} ({_against(one)})" for one in diagnosis.unconfirmed)
+        lost = ", ".join(f"{one.name} ({one.against})" for one in diagnosis.unconfirmed)
         parts.append([f"not confirmed by held-out readings, and not in the model: {lost}"])
     if diagnosis.separate_by:
         parts.append(["to distinguish them, measure:", *(f"  {words}" for words in diagnosis.separate_by)])
@@ -280,13 +280,6 @@ def _score(gain: Gain) -> str:
 
 def _parameters(finding: Finding) -> Iterator[str]:
     yield from (_parameter(size) for size in finding.sizes)
-
-
-def _against(one: Unconfirmed) -> str:
-    """Return what speaks against an effect, in words."""
-    if one.log_score <= 0:
-        return f"log score {one.log_score:+.1f}"
-    return f"without single parts its size changes so much that it may be nothing, p = {one.size_level:.2g}"
 
 
 def _parameter(size: EffectSize) -> str:
