@@ -15,7 +15,7 @@ from metrocli.adjust.clusters.robust import STRUCTURED
 from metrocli.diagnosis.adjusted_job import AdjustedJob, Budget, Ordered
 from metrocli.diagnosis.correlated_error import CorrelatedError
 from metrocli.diagnosis.detectability import Detectability, design
-from metrocli.diagnosis.evidence.folds import gain_of_parts, gains, with_jackknife
+from metrocli.diagnosis.evidence.folds import gain_of_parts, gains, least_sure, with_jackknife
 from metrocli.diagnosis.evidence.gain import Gain
 from metrocli.diagnosis.evidence.identified import IdentifiedEffect, all_identified, identified
 from metrocli.diagnosis.evidence.measured_job import measurement_of
@@ -45,8 +45,6 @@ _CORRELATED = 0.005
 _LEVEL = -float(np.log(LEVEL))
 _LACK_OF_FIT = 0.005
 """Level of the lack-of-fit test of repeated readings below which structure is reported"""
-_NOTHING = 0.05
-"""Level from which the size of an effect may be nothing, beside what its units scatter by"""
 LIMIT = 120.0
 """CPU time for all searches [s]"""
 
@@ -130,8 +128,7 @@ def _confirmed(
     The log score of held-out readings and the net evidence of all are both logarithms of odds: an effect stays while
     their sum is positive. Folds that lie between others show little of a jump, whose evidence is large. In a quick
     diagnosis the log score alone has to be: its evidence is that in white noise. A smooth effect, which fits whatever
-    readings share, stays where its gain is shown. Of effects whose sizes are not beyond what units scatter by, that of
-    the least evidence leaves: two that nearly cancel each other may both pay, at sizes that hinge on a few images.
+    readings share, stays where its gain is shown. Effects whose sizes may be nothing leave one by one.
     """
     state, lost = with_shown(state)
     while True:
@@ -144,11 +141,10 @@ def _confirmed(
             if gain.log_score + (0.0 if quick else nets[part.key]) <= 0
         ]
         if not against:
-            every = zip(state.named, names, gained, strict=False)
-            unsure = [one for one in every if one[1].level_of_size > _NOTHING]
-            if not unsure:
+            unsure = least_sure(state, names)
+            if unsure is None:
                 return state, names, gained, tuple(lost)
-            against = [min(unsure, key=lambda one: nets[one[0].key])]
+            against = [one for one in zip(state.named, names, gained, strict=False) if one[0] is unsure]
         lost += [Unconfirmed(str(name.alternative), gain.log_score, name.level_of_size) for _, name, gain in against]
         state = state.minus([part for part, _, _ in against])
 

@@ -9,8 +9,10 @@ import numpy as np
 
 from metrocli.adjust.clusters.robust import STRUCTURED
 from metrocli.diagnosis.adjusted_job import AdjustedJob
+from metrocli.diagnosis.evidence.folds import surely
 from metrocli.diagnosis.evidence.identified import all_identified
 from metrocli.diagnosis.evidence.measured_job import measurement_of
+from metrocli.diagnosis.evidence.parts import Fixed
 from metrocli.diagnosis.evidence.refined import refined
 from metrocli.diagnosis.evidence.search import forward, pruned, swapped
 from metrocli.diagnosis.evidence.state import State
@@ -25,22 +27,42 @@ _MOST_OF_IT = 0.01
 
 
 def is_dominated(state: State) -> bool:
-    """Return whether most of the misfit comes from effects with which the unknowns are not adjusted yet.
+    """Return whether the unknowns are to be adjusted with effects of a state, and the search to begin again.
 
-    Signatures are derivatives. The higher-order terms of a large effect would look like other effects, so the search
-    stops until the unknowns are adjusted with it. So it does at an effect that is columns of the job's own blocks, such
-    as a term of a lens: it bends beside the others, and only about its own solution differs from those that look alike
-    (docs/decisions/264-terms-of-a-lens-bend.md).
+    Signatures are derivatives, and the higher-order terms of a large effect look like other effects. An effect that is
+    columns of the job's own blocks, such as a term of a lens, bends beside the others: only about its own solution
+    differs it from those that look alike (docs/decisions/264-terms-of-a-lens-bend.md).
     """
     m = state.measurement
-    new = [part for part in state.named if m.alternative(part.key).spot not in m.job.adjusted]
+    old, new = _old_and_new(state)
     # with few degrees of freedom any effect lowers the mean square so far
     if not new or m.dof < _MANY:
         return False
-    old = [part for part in state.named if part not in new]
     if any(m.alternative(part.key).effect.link is None for part in new):
         return True
     return State.of(m, old).variance > _DOMINANT * State.of(m, state.named).variance
+
+
+def is_overwhelmed(state: State) -> bool:
+    """Return whether most of the misfit comes from one effect with which the unknowns are not adjusted yet.
+
+    The search does not go on then. It does where many explain the misfit together: without the correlated errors that
+    take their place later, most of them would be wrong, and the unknowns adjusted with them as well.
+    """
+    m = state.measurement
+    old, new = _old_and_new(state)
+    if not new or m.dof < _MANY:
+        return False
+    before = State.of(m, old).variance
+    return any(before > _DOMINANT * State.of(m, [*old, part]).variance for part in new)
+
+
+def _old_and_new(state: State) -> tuple[list[Fixed], list[Fixed]]:
+    """Return the effects with which the unknowns are adjusted, and the others."""
+    m = state.measurement
+    adjusted = [m.alternative(part.key).spot in m.job.adjusted for part in state.named]
+    both = [*zip(state.named, adjusted, strict=True)]
+    return [part for part, is_old in both if is_old], [part for part, is_old in both if not is_old]
 
 
 def searched(job: AdjustedJob, quick: bool = False) -> tuple[State, State]:
@@ -59,7 +81,9 @@ def searched(job: AdjustedJob, quick: bool = False) -> tuple[State, State]:
     first = state = State.of(m)
     for left in reversed(range(_ROUNDS)):
         # in the last round nothing stops the search: what dominates then is named about the solution that there is
-        state = forward(State.of(m), stop=is_dominated if left else None, least=_MOST_OF_IT if quick else 0.0)
+        state = forward(State.of(m), stop=is_overwhelmed if left else None, least=_MOST_OF_IT if quick else 0.0)
+        # not adjusted with effects whose sizes may be nothing: all else would be linearised about these sizes
+        state = state if quick else surely(state)
         if not left or not is_dominated(state):
             break
         names = all_identified(state, with_rivals=False)

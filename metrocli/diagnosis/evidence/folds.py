@@ -17,7 +17,7 @@ from metrocli.adjust.model.observations import Index
 from metrocli.diagnosis.adjusted_job import Ordered
 from metrocli.diagnosis.evidence.gain import Gain, Held, gain_of
 from metrocli.diagnosis.evidence.held_out import Fold, Model, Train, folds_of
-from metrocli.diagnosis.evidence.identified import IdentifiedEffect
+from metrocli.diagnosis.evidence.identified import IdentifiedEffect, all_identified
 from metrocli.diagnosis.evidence.likelihood import Fit, fit_at
 from metrocli.diagnosis.evidence.parts import EFFECT, Fixed, Random
 from metrocli.diagnosis.evidence.prices import FURTHER, OF_ALL
@@ -29,6 +29,8 @@ Key = tuple[int, int]
 """Family and number of an effect"""
 _FEWEST = 4
 """Fewest units from whose scatter a variance is taken"""
+_NOTHING = 0.01
+"""Level from which the size of an effect may be nothing"""
 
 
 def gains(state: State, names: Sequence[IdentifiedEffect], ordered: Ordered = map, nested: bool = True) -> list[Gain]:
@@ -127,6 +129,24 @@ def with_jackknife(state: State, effects: Sequence[IdentifiedEffect]) -> tuple[I
     """
     factors = _factors(state) if effects else {}
     return tuple(replace(one, covariance=one.covariance * factors.get(one.key, 1.0)) for one in effects)
+
+
+def least_sure(state: State, effects: Sequence[IdentifiedEffect]) -> Fixed | None:
+    """Return the effect of the least evidence among those whose size may be nothing beside what units scatter by.
+
+    Two that nearly cancel each other may both pay, at sizes that hinge on a few images.
+    """
+    unsure = {effect.key for effect in effects if effect.level_of_size > _NOTHING}
+    nets = zip(state.without_fixed().tolist(), state.fixed, strict=True) if unsure else ()
+    own = [(net, part) for net, part in nets if part.sort == EFFECT and part.key in unsure]
+    return min(own, key=lambda one: one[0])[1] if own else None
+
+
+def surely(state: State) -> State:
+    """Return the state without the effects whose sizes may be nothing, the one of the least evidence first."""
+    while (part := least_sure(state, with_jackknife(state, all_identified(state, with_rivals=False)))) is not None:
+        state = state.minus([part])
+    return state
 
 
 def _factors(state: State) -> dict[Key, float]:
