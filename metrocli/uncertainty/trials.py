@@ -26,6 +26,8 @@ CHUNK, LEAST_CHUNK = 50_000, 10_000
 """Number of trials of a chunk, many enough that their arithmetic takes the time; least of one in an adaptive run"""
 LARGEST = 1e150
 """Largest value of a trial: the square of a larger one overflows"""
+BLOCK = 10_000
+"""Number of trials for which models are evaluated at once: what a step leaves for the next stays in the cache"""
 Source = Callable[[np.random.Generator, int], Sequence[tuple[int, Array]]]
 
 
@@ -73,9 +75,12 @@ class TrialsPlan:
                     deviations += self.values[index]
                 values[self.names[index]] = deviations
         drawn = np.empty((len(self.models), count))
-        for row, model, centre in zip(drawn, self.models, self.centres, strict=True):
-            # deviations from the centre keep the digits that a large best estimate would cost
-            np.subtract(evaluate(model, values), centre, out=row)
+        for start in range(0, count, BLOCK):
+            part = slice(start, start + BLOCK)
+            block = {name: value[part] if isinstance(value, np.ndarray) else value for name, value in values.items()}
+            for row, model, centre in zip(drawn, self.models, self.centres, strict=True):
+                # deviations from the centre keep the digits that a large best estimate would cost
+                np.subtract(evaluate(model, block), centre, out=row[part])
         return drawn
 
 

@@ -13,7 +13,8 @@ import numpy as np
 from metrocli.arrays import Array, Index
 from metrocli.frozen import dataclass
 
-LAYERS = 512
+LAYERS, BEYOND = 512, (0.0047, 0.0055)
+"""Number of layers, and what they have beyond the density's area, as a share of it: a constant, and one over dof"""
 LEAST_DOF = 1.0
 """Least degrees of freedom of a ziggurat: the layers of fewer reach beyond what one word can resolve"""
 
@@ -80,36 +81,29 @@ class Ziggurat:
 
 @cache
 def layers_of(dof: float) -> Ziggurat:
-    """Return the layers of a density, as many of LAYERS as reach its top."""
+    """Return the layers of a density, as many of LAYERS as reach its top; `dof` is at least LEAST_DOF."""
     # beyond 1e6 the density is that of a normal distribution, and the difference of the logarithms has no digits left
     few = min(dof, 1e6)
     half = math.sqrt(few * math.pi) / 2 * math.exp(math.lgamma(few / 2) - math.lgamma((few + 1) / 2))
-    # the layers together have a little more than half of the density's area: how much, those of a first try tell
-    needed = _stacked(dof, half / LAYERS)[-1]
-    start, area, widths, bottoms, _ = _stacked(dof, half / LAYERS * needed / (LAYERS - 0.5))
+    start = _start(dof, half * (1 + BEYOND[0] + BEYOND[1] / dof) / LAYERS)
+    area, bottom = _lowest(dof, start), _density(dof, start)
+    widths, bottoms, power = [area / bottom, start], [0.0, bottom], -2 / (dof + 1)
+    while (bottom := bottom + area / widths[-1]) < 1:
+        bottoms.append(bottom)
+        widths.append(math.sqrt(dof * math.expm1(power * math.log(bottom))))
     missing = LAYERS - len(widths)
+    assert missing >= 0
     every = np.array(widths + [0.0] * (missing + 1))
     return Ziggurat(dof, start, every[:-1], every[1:], np.array(bottoms + [1.0] * missing), area)
 
 
-def _stacked(dof: float, area: float) -> tuple[float, float, list[float], list[float], float]:
-    """Return start of the tail, area, widths and bottoms of layers from the tail to the top, and their number.
-
-    The number has a fraction: of the last layer only that part counts that is below the top of the density.
-    """
+def _start(dof: float, area: float) -> float:
+    """Return where the tail begins if layer 0 has an area."""
     low, high = 0.0, math.log(1e6)
-    for _ in range(60):
+    for _ in range(50):
         middle = (low + high) / 2
         low, high = (middle, high) if _lowest(dof, math.exp(middle)) > area else (low, middle)
-    start = math.exp(low)
-    area = _lowest(dof, start)
-    bottom = _density(dof, start)
-    widths, bottoms, power = [area / bottom, start], [0.0, bottom], -2 / (dof + 1)
-    while (top := bottom + area / widths[-1]) < 1:
-        bottom = top
-        bottoms.append(bottom)
-        widths.append(math.sqrt(dof * math.expm1(power * math.log(bottom))))
-    return start, area, widths, bottoms, len(widths) - 1 + (1 - bottom) / (top - bottom)
+    return math.exp(low)
 
 
 def _density(dof: float, x: float) -> float:
