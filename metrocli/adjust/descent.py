@@ -18,7 +18,7 @@ from metrocli.adjust.schur.irregular_normals import FEW
 from metrocli.adjust.schur.layout import Layout
 from metrocli.adjust.schur.normals import Normals, assemble, cost_of
 from metrocli.adjust.schur.tiles import Tiling
-from metrocli.arrays import Array
+from metrocli.arrays import Array, extents
 from metrocli.frozen import dataclass
 
 _ROUNDING = 1e-13
@@ -138,7 +138,7 @@ class Descent:
             shifts = frame.steps(self.state, block.values)
             off = float(np.abs(shifts[block.name]).max())
             # what is left is of second order: if it no longer shrinks, it is rounding
-            if off <= _IN_DATUM * float(np.ptp(block.values, axis=0).max()) or off > before / 2:
+            if off <= _IN_DATUM * float(extents(block.values).max()) or off > before / 2:
                 break
             before = off
             self.state |= {name: self.state[name].moved(shift) for name, shift in shifts.items()}

@@ -17,7 +17,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from metrocli.arrays import Array
+from metrocli.arrays import Array, keep_memory
 from metrocli.errors import NotConvergedError
 from metrocli.frozen import dataclass
 from metrocli.uncertainty.samples import Binned, Counts, Edges, Kept, MeasurandSample
@@ -27,8 +27,6 @@ from metrocli.uncertainty.workers import Workers
 KEPT, KEPT_VALUES = 2_000_000, 8_000_000
 """Largest number of trials of which all values are kept, and of values of all measurands together"""
 CHUNKS_OF_A_BATCH, PILOT = 20, 2
-LARGE_BYTES = 32_000_000
-"""Size of an array up to which glibc learns to keep memory: `mallopt`, M_MMAP_THRESHOLD"""
 MOST_OF_TWO_CHUNKS = 10_000_000
 """Largest number of trials in two chunks of an adaptive run, so that they fit into memory"""
 
@@ -50,8 +48,7 @@ def run(plan: TrialsPlan, workers: Workers, digits: int = 2, most: int = 0) -> M
 
     Raises NoOutcomeError if a trial has no value, NotConvergedError if an adaptive run reaches `most` trials.
     """
-    # freed at once: from then on glibc keeps the memory of a chunk for the next one, whose pages it would ask for anew
-    np.empty(LARGE_BYTES, dtype=np.uint8)
+    keep_memory()
     if plan.trials is None:
         return _adaptive(plan, workers, digits, most)
     chunks = math.ceil(plan.trials / plan.chunk)
