@@ -20,6 +20,9 @@ from metrocli.arrays import Array, Index, Mask
 FEW = 200
 """Most reduced unknowns whose matrices are dense and solved by numpy: loading scipy takes longer than it saves"""
 
+WIDE = 64
+"""Most columns of which all products are formed for each member, and then summed"""
+
 
 class OutsideTiles:
     """Members whose readings are in no tile, so that nothing is kept of single readings."""
@@ -220,19 +223,21 @@ def _add(sums: NormalSums, parts: _SortedDerivatives) -> None:
         gram = flat.T @ flat
     else:
         first, some = parts.members()
-        each = grams(rows, parts.index_e - first, some.stop - first)
+        # of many shared columns the products are not needed for each member, which would take more memory than time
+        wide, flat = c > WIDE, rows.reshape(n * d, c)
+        each = grams(rows, parts.index_e - first, some.stop - first, s if wide else c)
         sums.d[some] += each[:, :s, :s]
         sums.right_e[some] += each[:, :s, -1]
         sums.b[some, :, places] += each[:, :s, s:-1]
-        gram = each[:, s:, s:].sum(axis=0)
+        gram = (flat.T @ flat)[s:, s:] if wide else each[:, s:, s:].sum(axis=0)
     sums.n[np.ix_(places, places)] += gram[:-1, :-1]
     sums.right_r[places] += gram[:-1, -1]
     if parts.several:
         _add_several(sums, parts, rows)
 
 
-def grams(rows: Array, index: Index, members: int) -> Array:
-    """Return `A'A` for the readings of each member, rows A (n, d, c) -> (members, c, c).
+def grams(rows: Array, index: Index, members: int, own: int) -> Array:
+    """Return `A'A` for the readings of each member, rows A (n, d, c) -> (members, own, c): that of its first columns.
 
     Members with similar numbers of readings are padded to one length and multiplied together.
     """
@@ -241,7 +246,7 @@ def grams(rows: Array, index: Index, members: int) -> Array:
     order = np.argsort(index, kind="stable")
     ordered = rows if (np.diff(index) >= 0).all() else rows[order]
     starts = np.concatenate([[0], np.cumsum(counts)])
-    sums = np.zeros((members, c, c))
+    sums = np.zeros((members, own, c))
     # powers of two: few batches of equal length, and at most half of a batch is padding
     lengths = np.where(counts > 0, 2 ** np.ceil(np.log2(np.maximum(counts, 1))).astype(int), 0)
     for length in np.unique(lengths[lengths > 0]):
@@ -254,7 +259,7 @@ def grams(rows: Array, index: Index, members: int) -> Array:
             inside = np.arange(longest) < counts[chosen, None]
             # a place beyond the end is clipped to a real row, which the mask makes zero
             padded = (ordered[np.minimum(place, n - 1)] * inside[:, :, None, None]).reshape(len(chosen), longest * d, c)
-        sums[chosen] = np.swapaxes(padded, 1, 2) @ padded
+        sums[chosen] = np.swapaxes(padded[:, :, :own], 1, 2) @ padded
     return sums
 
 
