@@ -18,10 +18,7 @@ from metrocli.adjust.schur.layout import Layout
 from metrocli.arrays import Array, Index, Mask
 
 FEW = 200
-"""Most reduced unknowns whose matrices are dense and solved by numpy: loading scipy takes longer than it saves"""
-
-WIDE = 64
-"""Most columns of which all products are formed for each member, and then summed"""
+"""Most columns whose matrices are dense, and whose products are formed for each member"""
 
 
 class OutsideTiles:
@@ -218,13 +215,13 @@ def _add(sums: NormalSums, parts: _SortedDerivatives) -> None:
         return
     # readings first, so that all of one member are adjacent for the products
     rows = np.ascontiguousarray(parts.dense.reshape(d * c, n).T).reshape(n, d, c)
+    flat = rows.reshape(n * d, c)
     if parts.index_e is None:
-        flat = rows.reshape(n * d, c)
         gram = flat.T @ flat
     else:
         first, some = parts.members()
         # of many shared columns the products are not needed for each member, which would take more memory than time
-        wide, flat = c > WIDE, rows.reshape(n * d, c)
+        wide = c > FEW
         each = grams(rows, parts.index_e - first, some.stop - first, s if wide else c)
         sums.d[some] += each[:, :s, :s]
         sums.right_e[some] += each[:, :s, -1]
@@ -264,8 +261,7 @@ def grams(rows: Array, index: Index, members: int, own: int) -> Array:
 
 
 def _add_several(sums: NormalSums, parts: _SortedDerivatives, rows: Array) -> None:
-    n, d, _ = rows.shape
-    s, width = parts.size_e, len(sums.n)
+    (n, d, _), s, width = rows.shape, parts.size_e, len(sums.n)
     values, columns = [], []
     for touch, places in parts.several:
         place = places[touch.index]
@@ -274,8 +270,7 @@ def _add_several(sums: NormalSums, parts: _SortedDerivatives, rows: Array) -> No
     value, column = np.concatenate(values, axis=2), np.concatenate(columns, axis=2)
     matrix, gram = (_dense if width <= FEW else _sparse)(value, column, width)
     sums.n += gram
-    flat = rows.reshape(n * d, rows.shape[2])
-    cross = matrix.T @ flat[:, s:]
+    cross = matrix.T @ rows.reshape(n * d, -1)[:, s:]
     sums.n[:, parts.places] += cross[:, :-1]
     sums.n[parts.places, :] += cross[:, :-1].T
     sums.right_r += cross[:, -1]
