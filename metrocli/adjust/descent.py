@@ -14,11 +14,10 @@ from metrocli.adjust.datum import Datum, Frame, open_frame
 from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.outcome import Outcome
-from metrocli.adjust.schur.irregular_normals import FEW
 from metrocli.adjust.schur.layout import Layout
 from metrocli.adjust.schur.normals import Normals, assemble, cost_of
 from metrocli.adjust.schur.tiles import Tiling
-from metrocli.arrays import Array
+from metrocli.arrays import Array, extents
 from metrocli.frozen import dataclass
 
 _ROUNDING = 1e-13
@@ -31,6 +30,8 @@ _NEAR, _FAR_BELOW = 1e3, 1e-2
 """The last step is one shorter than `_NEAR` tolerances after which a step below `_FAR_BELOW` tolerances is expected"""
 _RESTORED, _IN_DATUM = 20, 1e-7
 """Rounds that bring values into the datum at most, and how far they may be off it, in the extent of its members"""
+_WITHOUT_SCIPY = 500
+"""Most unknowns that numpy solves: loading scipy takes as long as a dozen solutions of as many"""
 _NOTHING = 1e-10
 """Share of the diagonal of the normal matrix below which its reduction leaves nothing"""
 # from a damping that leaves a sound step as it is to one whose step is 1e-8 of the gradient's: both ends are beyond use
@@ -138,7 +139,7 @@ class Descent:
             shifts = frame.steps(self.state, block.values)
             off = float(np.abs(shifts[block.name]).max())
             # what is left is of second order: if it no longer shrinks, it is rounding
-            if off <= _IN_DATUM * float(np.ptp(block.values, axis=0).max()) or off > before / 2:
+            if off <= _IN_DATUM * float(extents(block.values).max()) or off > before / 2:
                 break
             before = off
             self.state |= {name: self.state[name].moved(shift) for name, shift in shifts.items()}
@@ -227,7 +228,7 @@ def cholesky_solve(matrix: Array, right: Array) -> Array:
     scale = 1 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
     balanced, scaled = matrix * scale[:, None] * scale, (right.T * scale).T
     # loading scipy takes longer than solving as few unknowns as these (docs/decisions/154-loaded-where-used.md)
-    if len(matrix) <= FEW:
+    if len(matrix) <= _WITHOUT_SCIPY:
         np.linalg.cholesky(balanced)  # raises LinAlgError unless it is positive definite
         solved: Array = np.asarray(np.linalg.solve(balanced, scaled), dtype=float)
     else:

@@ -11,7 +11,8 @@ from typing import overload
 import numpy as np
 import numpy.typing as npt
 
-from metrocli.arrays import Array, Index
+from metrocli.arrays import Array, Index, Mask
+from metrocli.formats.decimals import decimals
 from metrocli.frozen import dataclass
 
 _UNUSUAL = ' "#\t\v\f\x1c\x1d\x1e\x1f'
@@ -27,7 +28,7 @@ class PlainCells(Sequence[Sequence[str]]):
     """The cells of each column."""
 
     letters: npt.NDArray[np.uint8]
-    """All letters of the rows, and as many zeros as the longest cell has letters"""
+    """All letters of the rows, and before and behind them as many zeros as the longest cell has letters"""
     start: Index
     """First letter of each cell, (columns, rows)"""
     length: Index
@@ -69,22 +70,26 @@ class PlainCells(Sequence[Sequence[str]]):
         """Return a column as numbers, (rows,); None unless all its cells are decimal numbers of usual length."""
         if self.longest(column) > _LONGEST or not self.length[column].all():
             return None
-        letters = self._letters(column)
-        # translate drops the letters of numbers: whatever is left makes it no plain number ("nan", "0x1", "1_0")
-        if letters.tobytes().translate(None, _OF_NUMBERS):
-            return None
-        try:
-            return letters.view(f"S{letters.shape[1]}").ravel().astype(float)
-        except ValueError:
-            return None
+        values, sure = decimals(self._letters(column, at_end=True))
+        if not sure.all():
+            others = self._letters(column, ~sure)
+            # translate drops the letters of numbers: whatever is left makes it no plain number ("nan", "0x1", "1_0")
+            if others.tobytes().translate(None, _OF_NUMBERS):
+                return None
+            try:
+                values[~sure] = others.view(f"S{others.shape[1]}").ravel().astype(float)
+            except ValueError:
+                return None
+        return values
 
-    def _letters(self, column: int) -> npt.NDArray[np.uint8]:
-        """Return the letters of each cell of a column, with zeros after a short one, (rows, letters)."""
-        width, length = max(self.longest(column), 1), self.length[column]
+    def _letters(self, column: int, rows: slice | Mask = slice(None), at_end: bool = False) -> npt.NDArray[np.uint8]:
+        """Return the letters of cells of a column, with zeros behind a short one or before it, (rows, letters)."""
+        width, start, length = max(self.longest(column), 1), self.start[column, rows], self.length[column, rows]
         windows = np.lib.stride_tricks.sliding_window_view(self.letters, width)
-        letters: npt.NDArray[np.uint8] = windows[self.start[column]]
+        letters: npt.NDArray[np.uint8] = windows[start + length - width if at_end else start]
         if (length != width).any():
-            letters *= np.arange(width) < length[:, None]
+            place = np.arange(width)
+            letters *= (place[::-1] if at_end else place) < length[:, None]
         return letters
 
 
@@ -108,6 +113,7 @@ def plain_cells(rows: str, separator: str, columns: int) -> PlainCells | None:
     length = ends - start
     if columns == 1 and not length.all():  # an empty row, which has too few cells in any other table
         return None
-    # windows of the longest cell reach beyond the last letter
-    padded = np.concatenate([letters, np.zeros(int(length.max()), dtype=np.uint8)])
-    return PlainCells(padded, start.reshape(-1, columns).T, length.reshape(-1, columns).T)
+    # windows of the longest cell reach beyond the first and the last letter
+    longest = int(length.max())
+    padded = np.pad(letters, longest)
+    return PlainCells(padded, start.reshape(-1, columns).T + longest, length.reshape(-1, columns).T)

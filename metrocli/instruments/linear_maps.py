@@ -49,7 +49,7 @@ def _fitted(points: Array, rays: Array, view: Index, views: int) -> Array:
     rows[:, 0, 2 * c :] = -rays[0][:, None] * points
     rows[:, 1, 2 * c :] = -rays[1][:, None] * points
     # the eigenvector of the least eigenvalue: the map of unit length with the least algebraic error
-    _, vectors = np.linalg.eigh(grams(rows, view, views))
+    _, vectors = np.linalg.eigh(grams(rows, view, views, 3 * c))
     nulls: Array = np.ascontiguousarray(vectors[:, :, 0]).reshape(views, 3, c)
     return nulls
 

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from metrocli import __version__, tasks
+from metrocli.arrays import keep_memory
 from metrocli.doubt import MOST, doubts_of
 from metrocli.effects.wanted import planted
 from metrocli.errors import Fault, InputError, MetrocliError, NotConvergedError, UndeterminedError, UsageError
@@ -87,6 +88,7 @@ def compute(
 
     With `strict` every warning makes the result doubtful.
     """
+    keep_memory()
     kind = tasks.KINDS[file.kind]
     progress = Named(file.file, progress)
     progress.doing("reading its inputs")

@@ -1,7 +1,7 @@
 """Monte Carlo propagation (JCGM 101 and 102) with a fixed or adaptive number of trials.
 
 Chunks are joined in their order, so the result is identical to the bit for any number of workers. Up to KEPT trials
-all values are kept and sorted; larger numbers of trials are counted in bins.
+all values are kept; larger numbers of trials are counted in bins.
 
 Method: docs/algorithms/monte-carlo-chunks.md.
 """
@@ -17,16 +17,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from metrocli.arrays import Array
+from metrocli.arrays import Array, keep_memory
 from metrocli.errors import NotConvergedError
 from metrocli.frozen import dataclass
-from metrocli.uncertainty.samples import Binned, Counts, Edges, MeasurandSample, Sorted
+from metrocli.uncertainty.samples import Binned, Counts, Edges, Kept, MeasurandSample
 from metrocli.uncertainty.trials import Batch, Tally, TrialsPlan, Work, counted
 from metrocli.uncertainty.workers import Workers
 
 KEPT, KEPT_VALUES = 2_000_000, 8_000_000
 """Largest number of trials of which all values are kept, and of values of all measurands together"""
-CHUNKS_OF_A_BATCH, PILOT = 100, 10
+CHUNKS_OF_A_BATCH, PILOT = 20, 2
 MOST_OF_TWO_CHUNKS = 10_000_000
 """Largest number of trials in two chunks of an adaptive run, so that they fit into memory"""
 
@@ -48,12 +48,12 @@ def run(plan: TrialsPlan, workers: Workers, digits: int = 2, most: int = 0) -> M
 
     Raises NoOutcomeError if a trial has no value, NotConvergedError if an adaptive run reaches `most` trials.
     """
+    keep_memory()
     if plan.trials is None:
         return _adaptive(plan, workers, digits, most)
     chunks = math.ceil(plan.trials / plan.chunk)
     if plan.trials <= _kept(plan):
-        work = Work(plan, 1 if chunks < CHUNKS_OF_A_BATCH else 10)
-        numbers = range(math.ceil(chunks / work.chunks))
+        work, numbers = Work(plan, 1), range(chunks)
         return _gathered(plan, list(_told(workers.ordered(work, numbers), workers, len(numbers))))
     work = Work(plan, CHUNKS_OF_A_BATCH, _edges(plan))
     numbers = range(math.ceil(chunks / work.chunks))
@@ -116,7 +116,7 @@ def _gathered(plan: TrialsPlan, batches: Sequence[Batch]) -> MonteCarloResult:
 def _outcome(plan: TrialsPlan, total: Batch, edges: tuple[Edges, ...]) -> MonteCarloResult:
     samples: tuple[MeasurandSample, ...]
     if total.values is not None:
-        samples = tuple(Sorted(np.sort(row)) for row in total.values)
+        samples = tuple(map(Kept, total.values))
     else:
         assert total.counts is not None
         samples = tuple(Binned(bins, counts) for bins, counts in zip(edges, total.counts, strict=True))
@@ -160,7 +160,7 @@ def _adaptive(plan: TrialsPlan, workers: Workers, digits: int, most: int) -> Mon
     if converged:
         return outcome
     # from all values so far, which reach farther than a pilot run
-    edges = tuple(Edges.around(row.values) for row in outcome.samples if isinstance(row, Sorted))
+    edges = tuple(Edges.around(row.values) for row in outcome.samples if isinstance(row, Kept))
     total = Batch(_tally(kept), np.concatenate([batch.spread for batch in kept]), None, _binned(outcome, edges))
     first = len(kept)
     del kept
@@ -190,7 +190,7 @@ class _Later:
 
 
 def _binned(outcome: MonteCarloResult, edges: Sequence[Edges]) -> Counts:
-    rows = [sample.values for sample in outcome.samples if isinstance(sample, Sorted)]
+    rows = [sample.values for sample in outcome.samples if isinstance(sample, Kept)]
     return counted([[bins.places(row) for bins, row in zip(edges, rows, strict=True)]])
 
 

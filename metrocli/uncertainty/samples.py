@@ -16,6 +16,8 @@ from metrocli.frozen import dataclass
 Counts = npt.NDArray[np.int64]
 BINS = 1 << 17
 """Number of bins; their width limits the error of every quantile"""
+SOME = 10_000
+"""Number of values that show where the ends of an interval are"""
 
 
 class MeasurandSample(Protocol):
@@ -36,23 +38,37 @@ class MeasurandSample(Protocol):
 
 
 @dataclass(frozen=True)
-class Sorted:
-    """All values, in ascending order."""
+class Kept:
+    """All values, in any order."""
 
     values: Array
     resolution = 0.0
 
     def symmetric(self, probability: float) -> tuple[float, float]:
         first, inside = _ranks(len(self.values), probability)
-        return float(self.values[first - 1]), float(self.values[first - 1 + inside])
+        lowest, highest = self._ends(max(first, len(self.values) - first - inside + 1))
+        return float(lowest[first - 1]), float(highest[first - 1 + inside - len(self.values)])
 
     def shortest(self, probability: float) -> tuple[float, float]:
         _, inside = _ranks(len(self.values), probability)
-        first = int(np.argmin(self.values[inside:] - self.values[: len(self.values) - inside]))
-        return float(self.values[first]), float(self.values[first + inside])
+        lowest, highest = self._ends(len(self.values) - inside)
+        first = int(np.argmin(highest - lowest))
+        return float(lowest[first]), float(highest[first])
 
     def below(self, limit: float) -> float:
-        return float(np.searchsorted(self.values, limit, "right") / len(self.values))
+        return float(np.count_nonzero(self.values <= limit) / len(self.values))
+
+    def _ends(self, count: int) -> tuple[Array, Array]:
+        """Return the `count` smallest and the `count` largest values, each in ascending order."""
+        # bounds that some of the values suggest leave few to sort
+        some = np.sort(self.values[:: max(len(self.values) // SOME, 1)])
+        place = count * len(some) // len(self.values) + SOME // 100
+        if 2 * place < len(some):
+            lowest, highest = self.values[self.values <= some[place]], self.values[self.values >= some[-1 - place]]
+            if min(len(lowest), len(highest)) >= count:
+                return np.sort(lowest)[:count], np.sort(highest)[-count:]
+        ordered = np.sort(self.values)
+        return ordered[:count], ordered[-count:]
 
 
 @dataclass(frozen=True)

@@ -20,12 +20,14 @@ from metrocli.expressions.expression import Expression
 from metrocli.frozen import dataclass
 from metrocli.uncertainty.inputs import Inputs
 from metrocli.uncertainty.numbers import evaluate
-from metrocli.uncertainty.samples import BINS, Counts, Edges, Sorted
+from metrocli.uncertainty.samples import BINS, Counts, Edges, Kept
 
-CHUNK = 10_000
-"""Least number of trials of a chunk (JCGM 101, 7.9.4 a)"""
+CHUNK, LEAST_CHUNK = 50_000, 10_000
+"""Number of trials of a chunk, many enough that their arithmetic takes the time; least of one in an adaptive run"""
 LARGEST = 1e150
 """Largest value of a trial: the square of a larger one overflows"""
+BLOCK = 10_000
+"""Number of trials for which models are evaluated at once: what a step leaves for the next stays in the cache"""
 Source = Callable[[np.random.Generator, int], Sequence[tuple[int, Array]]]
 
 
@@ -54,7 +56,7 @@ class TrialsPlan:
             return CHUNK
         outside = max(1 - self.probability, 1e-15)
         # 100 values beyond the interval in each chunk, so that its ends mean something; 1e-9 undoes rounding of 1 - p
-        return max(CHUNK, math.ceil(100 / outside * (1 - 1e-9)))
+        return max(LEAST_CHUNK, math.ceil(100 / outside * (1 - 1e-9)))
 
     def count(self, number: int) -> int:
         """Return the number of trials of a chunk; the last chunk of a fixed number can be smaller."""
@@ -69,12 +71,16 @@ class TrialsPlan:
         values: dict[str, Any] = dict(zip(self.names, self.values, strict=True))
         for source in self.sources:
             for index, deviations in source(rng, count):
-                deviations += self.values[index]
+                if self.values[index]:
+                    deviations += self.values[index]
                 values[self.names[index]] = deviations
         drawn = np.empty((len(self.models), count))
-        for row, model, centre in zip(drawn, self.models, self.centres, strict=True):
-            # deviations from the centre keep the digits that a large best estimate would cost
-            np.subtract(evaluate(model, values), centre, out=row)
+        for start in range(0, count, BLOCK):
+            part = slice(start, start + BLOCK)
+            block = {name: value[part] if isinstance(value, np.ndarray) else value for name, value in values.items()}
+            for row, model, centre in zip(drawn, self.models, self.centres, strict=True):
+                # deviations from the centre keep the digits that a large best estimate would cost
+                np.subtract(evaluate(model, block), centre, out=row[part])
         return drawn
 
 
@@ -181,7 +187,7 @@ class Work:
             else:
                 kept.append(drawn)
         assert tally is not None
-        values = np.concatenate(kept, axis=1) if kept else None
+        values = np.concatenate(kept, axis=1) if len(kept) > 1 else next(iter(kept), None)
         return Batch(tally, np.array(spread), values, counted(places) if places else None)
 
 
@@ -197,9 +203,9 @@ class NoOutcomeError(UndeterminedError):
 
 def _refuse_lost(values: Array, plan: TrialsPlan) -> None:
     # leaving lost trials out would change the distribution (docs/algorithms/monte-carlo-chunks.md)
-    # `~(... < ...)`, so that nan is lost as well
-    lost = ~(np.abs(values) < LARGEST)
-    if lost.any():
+    # `not ... < ...`, so that nan is lost as well
+    if not np.abs(values).max() < LARGEST:
+        lost = ~(np.abs(values) < LARGEST)
         row = int(np.argmax(lost.any(axis=1)))
         raise NoOutcomeError(
             f"{int(lost[row].sum())} of {values.shape[1]} trials of '{plan.models[row].text}' have no value: a root or "
@@ -210,6 +216,5 @@ def _refuse_lost(values: Array, plan: TrialsPlan) -> None:
 
 def spread_of(values: Array, probability: float) -> Array:
     """Return mean, standard deviation and interval ends of one chunk, (4, m)."""
-    ordered = np.sort(values, axis=1)
-    ends = np.array([Sorted(row).symmetric(probability) for row in ordered]).T
+    ends = np.array([Kept(row).symmetric(probability) for row in values]).T
     return np.vstack([values.mean(axis=1), values.std(axis=1, ddof=1), ends])

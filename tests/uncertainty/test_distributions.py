@@ -6,9 +6,11 @@ import math
 
 import numpy as np
 import pytest
+from scipy.special import stdtr
 
 from metrocli.uncertainty import distributions as shapes
 from metrocli.uncertainty.correlated import UnreachableError, factor
+from metrocli.uncertainty.distributions import ziggurat
 from metrocli.uncertainty.inputs import CorrelatedBlock, InputQuantity, NotSemiDefiniteError, join
 
 VALUES = tuple(np.sort(np.random.default_rng(0).normal(size=500)).tolist())
@@ -123,3 +125,46 @@ def test_a_zero_variance_within_a_block_stays_zero() -> None:
     )
     assert not values[1].any()
     assert values[0].std() == pytest.approx(1.0, rel=0.01)
+
+
+@pytest.mark.parametrize("dof", [0.4, 1.0, 1.7, 5, 24, 300.0, 1e9])
+def test_draws_of_t_have_its_distribution_also_in_the_tails(dof: float) -> None:
+    count, rng = 1_000_000, np.random.Generator(np.random.SFC64(3))
+    p = np.sort(stdtr(dof, shapes.StudentT(1.0, dof).draw(rng, count)))
+    steps = np.arange(count + 1) / count
+    apart = max((steps[1:] - p).max(), (p - steps[:-1]).max())
+    # Kolmogorov and Smirnov: beyond 1.95/sqrt(n) with probability 1e-3
+    assert apart < 1.95 / math.sqrt(count)
+    for share in (1e-2, 1e-3, 1e-4, 1e-5):
+        expected = share * count
+        for beyond in (np.searchsorted(p, share), count - np.searchsorted(p, 1 - share)):
+            assert abs(beyond - expected) < 4 * math.sqrt(expected) + 1
+
+
+def test_layers_cover_the_density_of_t_and_have_equal_areas() -> None:
+    for dof in (*(1 + 10 ** np.linspace(-3, 7, 101)).tolist(), 1.0, 1e300):
+        layers = ziggurat.layers_of(dof)
+        there = layers.widths > 0
+        tops = layers.bottoms[there] + layers.area / layers.widths[there]
+        assert there.sum() > 0.97 * ziggurat.LAYERS
+        assert tops[:-1] == pytest.approx(layers.bottoms[there][1:], rel=1e-12)
+        assert tops[-1] >= 1
+        # a place up to `inner` is below the density at the top of its layer
+        inner = layers.inner[there][:-1]
+        assert np.exp(-(dof + 1) / 2 * np.log1p(inner**2 / dof)) == pytest.approx(tops[:-1], rel=1e-9)
+
+
+def test_the_same_seed_draws_the_same_numbers() -> None:
+    once, again = (shapes.StudentT(2.0, 7).draw(np.random.default_rng(5), 1000) for _ in range(2))
+    assert np.array_equal(once, again)
+    assert not np.array_equal(once, shapes.StudentT(2.0, 7).draw(np.random.default_rng(6), 1000))
+
+
+def test_the_sine_of_the_arcsine_distribution_is_exact() -> None:
+    class Places:
+        def random(self, count: int) -> np.ndarray:
+            return np.linspace(0, 1, count)
+
+    v = 2 * np.linspace(0, 1, 10_001) - 1
+    drawn = shapes.Arcsine(1.0).draw(Places(), len(v))  # type: ignore[arg-type]
+    assert np.abs(drawn - np.sin(math.pi / 2 * v)).max() < 5e-16

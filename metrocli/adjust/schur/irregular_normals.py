@@ -18,7 +18,7 @@ from metrocli.adjust.schur.layout import Layout
 from metrocli.arrays import Array, Index, Mask
 
 FEW = 200
-"""Most reduced unknowns whose matrices are dense and solved by numpy: loading scipy takes longer than it saves"""
+"""Most columns whose matrices are dense, and whose products are formed for each member"""
 
 
 class OutsideTiles:
@@ -215,24 +215,26 @@ def _add(sums: NormalSums, parts: _SortedDerivatives) -> None:
         return
     # readings first, so that all of one member are adjacent for the products
     rows = np.ascontiguousarray(parts.dense.reshape(d * c, n).T).reshape(n, d, c)
+    flat = rows.reshape(n * d, c)
     if parts.index_e is None:
-        flat = rows.reshape(n * d, c)
         gram = flat.T @ flat
     else:
         first, some = parts.members()
-        each = grams(rows, parts.index_e - first, some.stop - first)
+        # of many shared columns the products are not needed for each member, which would take more memory than time
+        wide = c > FEW
+        each = grams(rows, parts.index_e - first, some.stop - first, s if wide else c)
         sums.d[some] += each[:, :s, :s]
         sums.right_e[some] += each[:, :s, -1]
         sums.b[some, :, places] += each[:, :s, s:-1]
-        gram = each[:, s:, s:].sum(axis=0)
+        gram = (flat.T @ flat)[s:, s:] if wide else each[:, s:, s:].sum(axis=0)
     sums.n[np.ix_(places, places)] += gram[:-1, :-1]
     sums.right_r[places] += gram[:-1, -1]
     if parts.several:
         _add_several(sums, parts, rows)
 
 
-def grams(rows: Array, index: Index, members: int) -> Array:
-    """Return `A'A` for the readings of each member, rows A (n, d, c) -> (members, c, c).
+def grams(rows: Array, index: Index, members: int, own: int) -> Array:
+    """Return `A'A` for the readings of each member, rows A (n, d, c) -> (members, own, c): that of its first columns.
 
     Members with similar numbers of readings are padded to one length and multiplied together.
     """
@@ -241,7 +243,7 @@ def grams(rows: Array, index: Index, members: int) -> Array:
     order = np.argsort(index, kind="stable")
     ordered = rows if (np.diff(index) >= 0).all() else rows[order]
     starts = np.concatenate([[0], np.cumsum(counts)])
-    sums = np.zeros((members, c, c))
+    sums = np.zeros((members, own, c))
     # powers of two: few batches of equal length, and at most half of a batch is padding
     lengths = np.where(counts > 0, 2 ** np.ceil(np.log2(np.maximum(counts, 1))).astype(int), 0)
     for length in np.unique(lengths[lengths > 0]):
@@ -254,13 +256,12 @@ def grams(rows: Array, index: Index, members: int) -> Array:
             inside = np.arange(longest) < counts[chosen, None]
             # a place beyond the end is clipped to a real row, which the mask makes zero
             padded = (ordered[np.minimum(place, n - 1)] * inside[:, :, None, None]).reshape(len(chosen), longest * d, c)
-        sums[chosen] = np.swapaxes(padded, 1, 2) @ padded
+        sums[chosen] = np.swapaxes(padded[:, :, :own], 1, 2) @ padded
     return sums
 
 
 def _add_several(sums: NormalSums, parts: _SortedDerivatives, rows: Array) -> None:
-    n, d, _ = rows.shape
-    s, width = parts.size_e, len(sums.n)
+    (n, d, _), s, width = rows.shape, parts.size_e, len(sums.n)
     values, columns = [], []
     for touch, places in parts.several:
         place = places[touch.index]
@@ -269,8 +270,7 @@ def _add_several(sums: NormalSums, parts: _SortedDerivatives, rows: Array) -> No
     value, column = np.concatenate(values, axis=2), np.concatenate(columns, axis=2)
     matrix, gram = (_dense if width <= FEW else _sparse)(value, column, width)
     sums.n += gram
-    flat = rows.reshape(n * d, rows.shape[2])
-    cross = matrix.T @ flat[:, s:]
+    cross = matrix.T @ rows.reshape(n * d, -1)[:, s:]
     sums.n[:, parts.places] += cross[:, :-1]
     sums.n[parts.places, :] += cross[:, :-1].T
     sums.right_r += cross[:, -1]

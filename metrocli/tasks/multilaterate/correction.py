@@ -8,7 +8,7 @@ import numpy as np
 
 from metrocli.adjust.medians import median
 from metrocli.adjust.solution import Solution
-from metrocli.arrays import Array, Index, Mask
+from metrocli.arrays import Array, Index, Mask, extents
 from metrocli.errors import InputError
 from metrocli.frozen import dataclass
 from metrocli.instruments import tracer as t
@@ -168,7 +168,7 @@ def list_offset(network: TracerNetwork, probing: Probing | None) -> float:
     """
     if probing is None:
         return 0.0
-    extent = float(np.ptp(network.nominal[network.seen > 0], axis=0).max()) or 1.0
+    extent = float(extents(network.nominal[network.seen > 0]).max()) or 1.0
     gap = _gaps(network, probing)
     return float(median(gap)) / (_ELSEWHERE * extent) if gap.size else 0.0
 
@@ -200,7 +200,7 @@ def wrong_entries(network: TracerNetwork, solution: Solution) -> tuple[str, ...]
         return ()
     error = network.nominal[rows] - solution.blocks[t.POINT].values[rows]
     size = np.linalg.norm(error - median(error.T), axis=1)
-    far = np.flatnonzero(size > max(_FAR * median(size), _PLAIN * np.ptp(network.nominal[rows], axis=0).max()))
+    far = np.flatnonzero(size > max(_FAR * median(size), _PLAIN * extents(network.nominal[rows]).max()))
     if not far.size:
         return ()
     names = [network.blocks[t.POINT].members[rows[i]] for i in far[np.argsort(-size[far])]]

@@ -9,7 +9,7 @@ import numpy as np
 
 from metrocli.adjust.outcome import Outcome
 from metrocli.adjust.solution import Solution
-from metrocli.arrays import Array
+from metrocli.arrays import Array, extents
 from metrocli.effects.estimates import absorbed
 from metrocli.instruments import tracer as t
 from metrocli.tasks.multilaterate.problem import TracerNetwork
@@ -144,7 +144,7 @@ def _gap(places: Array, i: int, j: int) -> float:
 
 
 def _span(points: Array) -> float:
-    return float(np.linalg.norm(np.ptp(points, axis=0)))
+    return float(np.linalg.norm(extents(points)))
 
 
 def _thickness(points: Array, dimensions: int) -> float:

@@ -12,7 +12,7 @@ from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.chain import Chain
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Observations
-from metrocli.arrays import Array, Index, Mask
+from metrocli.arrays import Array, Index, Mask, extents
 from metrocli.errors import InputError, all_faults
 from metrocli.frozen import dataclass
 from metrocli.instruments import tracer as t
@@ -90,7 +90,7 @@ def read(settings: Settings, files: Files) -> LengthReadings:
         conditions = {**observations.conditions, t.ALONE: alone}
         observations = replace(observations, index={**observations.index, **index}, conditions=conditions)
     places = np.vstack([nominal[np.bincount(point, minlength=len(names)) > 0], read_by.listed_at[read_by.given]])
-    extent = float(np.ptp(places, axis=0).max()) or 1.0
+    extent = float(extents(places).max()) or 1.0
     rows = few_of_each(read_by)
     seen = LengthsToTracers(read_by, rows, nominal[point[rows]], length[rows], extent, absolute, lengths.file)
     readings = LengthReadings(names, nominal, sigma, read_by, observations, stops, air, absolute, seen)

@@ -15,7 +15,7 @@ from metrocli.adjust.model.groups import Group
 from metrocli.adjust.robust import as_likely, critical_value
 from metrocli.adjust.rounds import adjust_with_iterated_weights, in_rounds
 from metrocli.adjust.solution import Residuals, Solution, residuals_of
-from metrocli.arrays import Array, Mask
+from metrocli.arrays import Array, Mask, extents
 from metrocli.effects.estimates import absorbed
 from metrocli.errors import NotConvergedError, UndeterminedError
 from metrocli.frozen import dataclass
@@ -113,7 +113,7 @@ class AdjustedTracers:
         if network.surveyed:
             return 0.0
         seen = network.seen > 0
-        extent = float(np.ptp(network.nominal[seen], axis=0).max()) or 1.0
+        extent = float(extents(network.nominal[seen]).max()) or 1.0
         off = network.nominal[seen] - blocks[t.POINT].values[seen]
         points = float(np.sqrt((off**2).sum(axis=1).mean()))
         apart = np.linalg.norm(network.listed_at - blocks[t.TRACER].values[:, :3], axis=1)
@@ -221,7 +221,7 @@ def _must_be_near(network: TracerNetwork, solution: Solution) -> None:
     seen = network.seen > 0
     away = np.linalg.norm(solution.blocks[t.POINT].values[seen] - network.nominal[seen], axis=1)
     middle = float(median(away))
-    if middle > _ASTRAY * np.ptp(network.nominal[seen], axis=0).max() + _noise_of(network):
+    if middle > _ASTRAY * extents(network.nominal[seen]).max() + _noise_of(network):
         size = _size(solution.blocks[t.POINT].values[seen]) / _size(network.nominal[seen])
         scaled = f"the points found are {size:.2g} times as far apart as those of the list: check units and scales"
         placed = _PLACES + _DELAY * network.absolute if np.isfinite(network.listed_at).all() else _NO_PLACES

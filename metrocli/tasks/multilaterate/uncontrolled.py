@@ -8,6 +8,7 @@ import numpy as np
 
 from metrocli import units
 from metrocli.adjust.solution import Solution
+from metrocli.arrays import extents
 from metrocli.instruments import tracer as t
 from metrocli.table import Table
 from metrocli.tasks.multilaterate.problem import TracerNetwork
@@ -23,7 +24,7 @@ def uncontrolled(network: TracerNetwork, part: Part | None = None, second: Seque
     The error in `hides` is that of the plausible cause in `assumed`, and is proportional to it.
     """
     seen = network.nominal[network.seen > 0]
-    extent = float(np.linalg.norm(np.ptp(seen, axis=0))) if len(seen) else 0.0
+    extent = float(np.linalg.norm(extents(seen))) if len(seen) else 0.0
     rows = _rows(network, extent) if network.unknown[network.seen > 0].any() else ()
     return table_of((*hidden_by(second), *rows, *taken_as_exact(part, extent, "points at 20 degC")))
 

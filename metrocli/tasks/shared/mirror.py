@@ -221,8 +221,12 @@ def mirrored(sights: NetworkLengths, noise: float = 1.0) -> list[Mirrored]:
 
 def _sums(of: Index, left: Array, right: Array, weight: Array, count: int) -> Array:
     """Return the weighted sums of products of columns over the lengths of each member, (m, a, b)."""
-    pairs = [[np.bincount(of, weight * a * b, count) for b in right.T] for a in left.T]
-    return np.moveaxis(np.array(pairs), 2, 0)
+    sums = np.empty((count, left.shape[1], right.shape[1]))
+    weighted = [weight * a for a in left.T]
+    for i, j in np.ndindex(sums.shape[1:]):
+        # of columns with themselves the sums are symmetric
+        sums[:, i, j] = sums[:, j, i] if left is right and j < i else np.bincount(of, weighted[i] * right[:, j], count)
+    return sums
 
 
 def _planes(sights: NetworkLengths, lengths: Index) -> tuple[Array, Array, Array]:
