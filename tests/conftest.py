@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import gc
 import os
+import pickle
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import settings
@@ -42,6 +44,25 @@ def straight_line(monkeypatch: pytest.MonkeyPatch) -> str:
 
     monkeypatch.setitem(tasks.KINDS, KIND.name, KIND)
     return KIND.name
+
+
+_DRAWN: dict[object, Any] = {}
+
+
+@pytest.fixture
+def each_figure_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Draw the figure of some data in pages once: most tests of pages are of the words beside it."""
+    from metrocli.report import pictures
+
+    plain = pictures._figure
+
+    def figure(name: str, data: Any) -> Any:
+        key = name, pictures.LARGEST, pickle.dumps(data)
+        if key not in _DRAWN:
+            _DRAWN[key] = plain(name, data)
+        return _DRAWN[key]
+
+    monkeypatch.setattr(pictures, "_figure", figure)
 
 
 @dataclass(frozen=True)

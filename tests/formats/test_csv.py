@@ -230,3 +230,9 @@ def test_a_table_that_cannot_be_written(tmp_path: Path) -> None:
 def test_a_header_stands_below_the_lines_of_an_instrument(before: list[str]) -> None:
     lines = [*before, "point,x_mm,y_mm", "a,1,2", "b,3,4"]
     assert later_header(list(enumerate(lines, start=1))) == len(before) + 1
+
+
+def test_where_every_column_is_wanted_each_has_the_kind_of_its_cells(tmp_path: Path) -> None:
+    table = read(tmp_path, "part,l_mm,note\na,1.5,7\nb,2.5,late\n", Columns((), (), "readings", every=True))
+    assert (table.texts("part"), table.texts("note")) == (["a", "b"], ["7", "late"])
+    assert table.numbers("l_mm").tolist() == [1.5, 2.5]

@@ -16,6 +16,8 @@ from metrocli.errors import InputError
 from metrocli.formats import file_bytes as aside
 from metrocli.formats.own_files import LIST, write_all
 
+pytestmark = pytest.mark.usefixtures("each_figure_once")
+
 
 @pytest.mark.parametrize(
     ("words", "file"),

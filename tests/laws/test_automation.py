@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 import yaml
 from places import DOCS, SAMPLES
+from report.test_in_browser import shortened
 
 BLOCKS = re.findall(r"^```(make|yaml)\n(.*?)^```$", (DOCS / "automation.md").read_text(), re.DOTALL | re.MULTILINE)
 
@@ -21,6 +22,7 @@ BLOCKS = re.findall(r"^```(make|yaml)\n(.*?)^```$", (DOCS / "automation.md").rea
 @pytest.fixture
 def project(tmp_path: Path) -> Path:
     shutil.copytree(SAMPLES / "gear-m3d3", tmp_path / "p", ignore=shutil.ignore_patterns("results"))
+    shortened(tmp_path / "p")
     return tmp_path / "p"
 
 

@@ -9,6 +9,7 @@ from functools import cache
 from pathlib import Path
 
 from hints.table import ELSEWHERE, ROWS
+from laws.trees import below, nodes
 
 import metrocli
 
@@ -34,11 +35,10 @@ def messages(path: Path) -> tuple[str, ...]:
 
 def _messages(path: Path) -> Iterator[str]:
     """Texts of a module but for docstrings, with {} for what is filled in."""
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    nodes = list(ast.walk(tree))
-    silent = {id(node.value) for node in nodes if isinstance(node, ast.Expr)}
-    silent |= {id(part) for node in nodes if isinstance(node, ast.JoinedStr) for part in ast.walk(node) if part != node}
-    for node in nodes:
+    found = list(nodes(path))
+    silent = {id(node.value) for node in found if isinstance(node, ast.Expr)}
+    silent |= {id(part) for node in found if isinstance(node, ast.JoinedStr) for part in below(node) if part != node}
+    for node in found:
         if id(node) in silent:
             continue
         if isinstance(node, ast.JoinedStr):

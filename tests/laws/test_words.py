@@ -8,6 +8,7 @@ from collections.abc import Iterable, Iterator
 from functools import cache
 from pathlib import Path
 
+from laws.trees import nodes
 from places import DOCS, ROOT
 
 import metrocli
@@ -31,7 +32,7 @@ def shown(path: Path) -> str:
 def texts_of_module(path: Path) -> list[str]:
     """Docstrings, messages and comments."""
     found = []
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in nodes(path):
         if isinstance(node, ast.JoinedStr):
             found.append("".join(str(part.value) if isinstance(part, ast.Constant) else "x" for part in node.values))
         elif isinstance(node, ast.Constant) and isinstance(node.value, str):

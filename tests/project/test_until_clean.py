@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
@@ -21,6 +22,9 @@ def hall(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Path:
     """The sample in which the lengths of LT5 contain 0.9 um for each radian of azimuth."""
     assert run(["init", str(tmp_path / "lab"), "--sample", "laboratory-effects"]) == 0
     capsys.readouterr()
+    for name in ("points", "lengths"):  # of three quarters of its places
+        rows = (file := tmp_path / f"lab/data/{name}.csv").read_text().splitlines(keepends=True)
+        file.write_text("".join(row for row in rows if not re.match(r"P(3[1-9]|40)", row)))
     return tmp_path / "lab"
 
 

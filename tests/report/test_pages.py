@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import pickle
 import re
 import xml.etree.ElementTree as ET
 from collections import Counter
@@ -20,9 +19,8 @@ from plots import results
 
 from metrocli.cli.console import Console
 from metrocli.record import CriterionVerdict, InputFile, Record
-from metrocli.report import pictures
 from metrocli.report.findings import worst
-from metrocli.report.html import Content, Html, PrintedDiagnosis
+from metrocli.report.html import Content, PrintedDiagnosis
 from metrocli.report.html import listed as list_of
 from metrocli.report.project_page import JobEntry, project_page, ranks
 from metrocli.report.result_page import result_page
@@ -74,21 +72,7 @@ class Page(HTMLParser):
         return [held for name, held in self.elements if name == tag]
 
 
-_DRAWN: dict[object, Html] = {}
-
-
-@pytest.fixture(autouse=True)
-def each_figure_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Draw the figure of some data once: most tests here are of the words beside it."""
-    plain = pictures._figure
-
-    def figure(name: str, data: Any) -> Html:
-        key = name, pictures.LARGEST, pickle.dumps(data)
-        if key not in _DRAWN:
-            _DRAWN[key] = plain(name, data)
-        return _DRAWN[key]
-
-    monkeypatch.setattr(pictures, "_figure", figure)
+pytestmark = pytest.mark.usefixtures("each_figure_once")
 
 
 def page_of(result: Result, **more: Any) -> Page:

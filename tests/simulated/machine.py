@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from metrocli.table import Table
+from metrocli.tasks.calibrate_machine.acceptance.wanted import VolumeGrid
 from metrocli.tasks.calibrate_machine.files import Inputs
 from metrocli.tasks.calibrate_machine.machine_settings import AxesSettings, AxisSettings, MachineSettings
 from metrocli.tasks.calibrate_machine.noise_settings import LateralNoise, MachineNoise
@@ -155,6 +156,7 @@ def settings(
         chain, AxesSettings(*axes), tools=vectors, tool_uncertainty=more.pop("tool_uncertainty", 0.0)
     )
     noise = more.pop("noise", MachineNoise(beam=1e-3, lateral=LateralNoise(2e-3, 3e-6)))
+    more.setdefault("volume", VolumeGrid((4, 4, 4)))
     return Settings(method, machine, Inputs(**dict.fromkeys(keys, NOWHERE)), noise, **more)
 
 

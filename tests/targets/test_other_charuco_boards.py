@@ -18,7 +18,7 @@ BOARD = Pattern("charuco", columns=7, rows=5, pitch=35.0, marker_size=24.0, dict
 
 def picture(pattern: Pattern) -> np.ndarray[tuple[int, int], np.dtype[np.uint8]]:
     rows, columns = pattern.shape
-    image = _board(pattern).generateImage(((columns + 1) * 60, (rows + 1) * 60), marginSize=40)
+    image = _board(pattern).generateImage(((columns + 1) * 50, (rows + 1) * 50), marginSize=30)
     return np.asarray(cv2.GaussianBlur(image, (0, 0), 1.0), dtype=np.uint8)
 
 
@@ -46,15 +46,15 @@ def test_an_image_without_markers_is_not_a_matter_of_layout() -> None:
 def test_its_inner_corners_are_not_called_a_chessboard() -> None:
     legacy = replace(BOARD, legacy=True)
     assert "type: charuco" in likely_board(Pattern("chessboard", 9, 6, 25.0), [picture(BOARD)])
-    chess = np.kron(np.indices((7, 10)).sum(axis=0) % 2, np.full((60, 60), 255)).astype(np.uint8)
-    chess = cv2.copyMakeBorder(chess, 60, 60, 60, 60, cv2.BORDER_CONSTANT, value=255)
+    chess = np.kron(np.indices((7, 10)).sum(axis=0) % 2, np.full((40, 40), 255)).astype(np.uint8)
+    chess = cv2.copyMakeBorder(chess, 40, 40, 40, 40, cv2.BORDER_CONSTANT, value=255)
     assert "type: chessboard" in likely_board(legacy, [np.asarray(chess, dtype=np.uint8)])
 
 
 def test_a_grid_of_markers_is_no_charuco_board() -> None:
     markers = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_5X5_100)
-    grid = cv2.aruco.GridBoard((5, 4), 30.0, 6.0, markers).generateImage((900, 760), marginSize=40)
-    board = cv2.aruco.CharucoBoard((6, 5), 30.0, 22.0, markers).generateImage((900, 760), marginSize=40)
+    grid = cv2.aruco.GridBoard((5, 4), 30.0, 6.0, markers).generateImage((600, 510), marginSize=30)
+    board = cv2.aruco.CharucoBoard((6, 5), 30.0, 22.0, markers).generateImage((600, 510), marginSize=30)
     told = [likely_board(Pattern("chessboard", columns=9, rows=6, pitch=10.0), [seen] * 2) for seen in (grid, board)]
     assert told[0] == "markers of 5x5_250 with no squares between them: a grid of markers is no board of `pattern`"
     assert "type: charuco" in told[1]

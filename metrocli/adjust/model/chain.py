@@ -119,12 +119,7 @@ def through(outer: Array, inner: Array) -> Array:
         outer, inner = outer[:, used], inner[used]
         if not len(used):
             return np.zeros((len(outer), inner.shape[1], n))
-    product = np.empty((outer.shape[0], inner.shape[1], n))
-    for a, row in enumerate(outer):
-        for c in range(inner.shape[1]):
-            np.multiply(row[0], inner[0, c], out=product[a, c])
-            for b in range(1, len(inner)):
-                product[a, c] += row[b] * inner[b, c]
+    product: Array = np.einsum("abn,bcn->acn", outer, inner)
     return product
 
 

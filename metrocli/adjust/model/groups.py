@@ -31,13 +31,15 @@ def rows_of(touches: Sequence[Touch], shape: tuple[int, int], columns: Mapping[s
 
     `columns` has the number of each entry of a block, (members, size); -1 if it is fixed. Other blocks are left out.
     """
-    rows, reading = np.zeros((*shape, width + 1)), np.arange(shape[1])
+    # fixed entries have place -1: they fall into a last column that is dropped
+    rows, reading = np.zeros((*shape, width + 1)), np.arange(shape[1])[:, None]
     for touch in touches:
         if touch.block in columns:
-            places = columns[touch.block][touch.index]
-            for column in range(touch.jacobian.shape[1]):
-                # fixed entries have place -1: they fall into a last column that is dropped
-                rows[:, reading, places[:, column]] += touch.jacobian[:, column]
+            places, by_column = columns[touch.block], np.moveaxis(touch.jacobian, 1, 2)
+            if len(places) == 1:
+                rows[:, :, places[0]] += by_column
+            else:
+                rows[:, reading, places[touch.index]] += by_column
     return rows[:, :, :-1]
 
 

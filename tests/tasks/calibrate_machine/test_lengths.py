@@ -55,6 +55,7 @@ def predicted(solved: AdjustedMachine, at: sim.Array, tool: int) -> ToolErrors:
 
 
 @absent
+@pytest.mark.alike
 @pytest.mark.parametrize("case", FOUND, ids=lambda case: case.name)
 def test_cases_that_another_program_simulated_come_out_right(case: Path) -> None:
     job, truth = load(case / "job.yaml"), json.loads((case / "truth.json").read_text())

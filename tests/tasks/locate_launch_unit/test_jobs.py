@@ -39,7 +39,7 @@ PLANTED = {
 @pytest.fixture
 def job(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     rng = np.random.default_rng(12)
-    places = rng.uniform([0, 0, 50], [2000, 1000, 1000], (30, 3))
+    places = rng.uniform([0, 0, 50], [2000, 1000, 1000], (22, 3))
     rows = [
         f"P{i}," + ",".join(f"{x:.4f}" for x in place) + f",{90 * (i % 4)},{60 * i}" for i, place in enumerate(places)
     ]

@@ -49,7 +49,7 @@ def candidates(at: np.ndarray) -> Table:
 
 @pytest.mark.parametrize(("m", "scale"), [(5, 5e-7), *(pytest.param(m, None, marks=pytest.mark.slow) for m in (4, 8))])
 def test_the_measurement_states_what_was_planned(m: int, scale: float | None) -> None:
-    net = network(40, m, seed=m, scale=scale or 0.0)
+    net = network(25, m, seed=m, scale=scale or 0.0)
     plan = planned(net, scale)
     result = multilaterate.run(
         multilaterate.TASK.job(settings(scale), net.lengths(), net.point_table(), net.tracer_table())
@@ -189,7 +189,7 @@ def test_the_best_place_for_one_more_tracer_is_as_good_as_told() -> None:
 
 
 def test_a_candidate_beside_a_tracer_is_the_last_choice() -> None:
-    net = network(40, 4, seed=2)
+    net = network(25, 4, seed=2)
     at = np.vstack([net.tracers[1] + [3.0, 0.0, 0.0], CORNERS[5] * VOLUME])
     assert planned(net, candidates=candidates(at)).tables["candidates"].texts("candidate") == ["K1", "K0"]
 

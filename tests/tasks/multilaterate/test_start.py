@@ -149,7 +149,7 @@ def test_wrong_lengths_do_not_spoil_the_start_of_a_large_network() -> None:
 @pytest.mark.alike
 @pytest.mark.parametrize("seed", range(4))
 def test_a_job_without_a_list_of_tracers(seed: int, tmp_path: Path, metrocli) -> None:  # type: ignore[no-untyped-def]
-    net = network(40, 4 + seed % 3, seed=100 + seed)
+    net = network(25, 4 + seed % 3, seed=100 + seed)
     csv.write(tmp_path / "lengths.csv", net.lengths())
     csv.write(tmp_path / "points.csv", net.point_table())
     job = tmp_path / "job.yaml"
@@ -170,7 +170,7 @@ def test_a_job_without_a_list_of_tracers(seed: int, tmp_path: Path, metrocli) ->
 
 def test_a_rough_list_of_tracers_gives_the_same() -> None:
     """Half a metre off, and with dead paths that the list does not have."""
-    net = network(40, 5, seed=8)
+    net = network(25, 5, seed=8)
     found = multilaterate.run(multilaterate.TASK.job(settings(), net.lengths(), net.point_table()))
     rough = multilaterate.run(
         multilaterate.TASK.job(settings(), net.lengths(), net.point_table(), net.tracer_table(500.0))
