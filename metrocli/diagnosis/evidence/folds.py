@@ -124,8 +124,10 @@ def gain_between(before: State, after: State) -> Gain:
 def with_jackknife(state: State, effects: Sequence[IdentifiedEffect]) -> tuple[IdentifiedEffect, ...]:
     """Return identified effects with the covariance that leaving out units shows, where it is the larger one.
 
-    The q sizes change by d_g without unit g of G. The covariance C of the model is multiplied by
-    `f = (G - 1)/G sum_g d_g' C^-1 d_g / q`, at least by 1 (jackknife: Efron 1982; CR3: Bell and McCaffrey 2002).
+    Without unit g of G the q sizes change by d_g, and their covariance is C_g. That of the model, C, is multiplied by
+    `f = (G - 1)/G sum_g d_g' C^-1 d_g / (q max(1, e_g))`, `e_g = tr C^-1 C_g / q - 1`, at least by 1 (jackknife: Efron
+    1982; CR3: Bell and McCaffrey 2002). A unit that has more than half of what determines a size counts as one of half
+    of it: what the others say of the size says little of that unit's errors.
     """
     factors = _factors(state) if effects else {}
     return tuple(replace(one, covariance=one.covariance * factors.get(one.key, 1.0)) for one in effects)
@@ -154,29 +156,24 @@ def _factors(state: State) -> dict[Key, float]:
     m, rows = state.measurement, folds_of(state.measurement)
     model = Model(state.fixed, state.random, state.logs)
     whole = fit_at(products_of(m, state.fixed, state.random), state.logs)
-    own, root = _places(state.fixed, whole), np.linalg.inv(whole.lower[whole.fixed :, whole.fixed :])
-    changes: dict[Key, list[Array]] = {part.key: [] for part in state.named}
+    own = _estimates(state.fixed, whole)
+    squares: dict[Key, list[float]] = {key: [] for key in own}
     for number in sorted({*rows.tolist()} - {-1}):
         fold = Fold(m, np.flatnonzero(rows == number))
         fit = fit_at(fold.products(model), state.logs)
-        there = _places(fold.others(state.fixed), fit)
         # an effect that only this unit shows has no size without it
-        for key in changes.keys() & there.keys():
-            changes[key].append(fit.sizes[there[key]] - whole.sizes[own[key]])
-    factors = {}
-    for key, each in changes.items():
-        columns = root[:, own[key].start - whole.fixed : own[key].stop - whole.fixed]
-        count, covariance = len(each), columns.T @ columns * state.variance
-        if count >= _FEWEST:
-            d = np.array(each)
-            lengths = np.einsum("gi,ig->g", d, np.linalg.solve(covariance, d.T))
-            factors[key] = max((count - 1) / count * float(lengths.sum()) / len(covariance), 1.0)
-    return factors
+        for key, (sizes, covariance) in _estimates(fold.others(state.fixed), fit).items():
+            change, q, inverse = sizes - own[key][0], len(sizes), np.linalg.inv(own[key][1])
+            more = float(np.vdot(inverse, covariance)) / q - 1
+            squares[key].append(float(change @ inverse @ change) / q / max(1.0, more))
+    shown = {key: (len(each), sum(each) / state.variance) for key, each in squares.items() if len(each) >= _FEWEST}
+    return {key: max((count - 1) / count * total, 1.0) for key, (count, total) in shown.items()}
 
 
-def _places(parts: Sequence[Fixed], fit: Fit) -> dict[Key, slice]:
-    """Return where the sizes of effects stand among those of a fit with some fixed parts."""
-    ends = (fit.fixed + np.cumsum([0, *(part.rank for part in parts)])).tolist()
+def _estimates(parts: Sequence[Fixed], fit: Fit) -> dict[Key, tuple[Array, Array]]:
+    """Return sizes of the effects among some fixed parts of a fit, and their covariance for the variance 1."""
+    sizes, root = fit.sizes[fit.fixed :], np.linalg.inv(fit.lower[fit.fixed :, fit.fixed :])
+    covariance, ends = root.T @ root, np.cumsum([0, *(part.rank for part in parts)]).tolist()
     # held-out readings and terms of laws have keys too, which can be those of an effect
     placed = zip(parts, pairwise(ends), strict=True)
-    return {part.key: slice(*place) for part, place in placed if part.sort == EFFECT}
+    return {part.key: (sizes[a:b], covariance[a:b, a:b]) for part, (a, b) in placed if part.sort == EFFECT}

@@ -183,8 +183,10 @@ def _by_effects(m: Measurement) -> set[int]:
     return {number for number, (kind, name, _) in enumerate(m.units) if kind == DECLARED_SIGMA and name in names}
 
 
-def effects(state: State, most: int = 2) -> list[Move]:
-    """Return the effects, and unknown causes, of the largest net gains.
+def effects(state: State, shared: bool = False) -> list[Move]:
+    """Return the effects, and unknown causes, of the largest net gains; only the `shared` ones if asked.
+
+    These act at no place of many, so that no random effect of all places can stand for them.
 
     Left out is what the error of one reading explains as well: beside its dead path, a jump after the first reading of
     a tracer is an error of that reading. How many readings there are is no evidence for the jump.
@@ -192,7 +194,8 @@ def effects(state: State, most: int = 2) -> list[Move]:
     m = state.measurement
     taken = {m.alternative(part.key).form for part in (*state.named, *state.unknown)}
     found: list[tuple[float, int, int, float, float]] = []
-    for family in range(len(m.families)):
+    everywhere = {scatter[0].name for scatter in m.scatters} if shared else set()
+    for family in (number for number, group in enumerate(m.families) if group.name not in everywhere):
         gain, price, explained = state.gains_of_family(family)
         net = gain - price
         for at in np.argsort(-net)[:4].tolist():
@@ -200,7 +203,7 @@ def effects(state: State, most: int = 2) -> list[Move]:
                 found.append((float(net[at]), family, at, float(explained[at]), float(gain[at])))
     found.sort(reverse=True)
     chosen = (entering for entering in found if not _is_of_one_reading(state, *entering[1:]))
-    return [Move(net, (m.effect(family, at),)) for net, family, at, *_ in islice(chosen, most)]
+    return [Move(net, (m.effect(family, at),)) for net, family, at, *_ in islice(chosen, 2)]
 
 
 def _is_of_one_reading(state: State, family: int, number: int, explained: float, gain: float) -> bool:

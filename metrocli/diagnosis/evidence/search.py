@@ -48,9 +48,10 @@ def _with_all_readings(state: State) -> State:
 def _with_all_effects(state: State) -> State:
     """Return the state with the effects that show beside it: what a correlated error is to be added to.
 
-    A smooth function of the place in the image contains much of a skew. What it adds to the skew is small.
+    A smooth function of the place in the image contains much of a skew. What it adds to the skew is small. Effects at
+    single places are not among them: without that error, many would stand for what scatters at all places.
     """
-    while found := [move for move in effects(state) if move.net > 0 and move.is_cause]:
+    while found := [move for move in effects(state, shared=True) if move.net > 0 and move.is_cause]:
         other = without_weak_fixed(found[0].made(state))
         if other.score <= state.score + _GAINED:
             break
