@@ -66,6 +66,8 @@ class DetectableCandidate:
     """Upper bound (97.5 %) of its size beside all that was found"""
     share: float = 1.0
     """Share of what the unknowns leave of it that random parts and other effects leave, too"""
+    required: bool = False
+    """Whether its evidence would name it, which held-out readings did not confirm"""
 
     @property
     def testable(self) -> bool:
@@ -193,7 +195,18 @@ def _candidate(state: State, family: int, chosen: Sequence[int], noise: float) -
     absorbers = () if rank else _absorbers(m.system, _full(m.job, m.system, alternative))
     missed = own.has_gaps(m.system, chosen)
     upper = _upper(state, family, at)
-    return DetectableCandidate(alternative, family, at, visible, size, hides, assumed, absorbers, missed, upper, share)
+    required = bool((_nets(state, family)[list(chosen)] > 0).any())
+    return DetectableCandidate(
+        alternative, family, at, visible, size, hides, assumed, absorbers, missed, upper, share, required
+    )
+
+
+def _nets(state: State, family: int) -> Array:
+    """Return the net gain of each alternative of a family beside a state, computed once."""
+    if ("nets", family) not in state.held:
+        gain, price, _ = state.gains_of_family(family)
+        state.held["nets", family] = np.where(gain > 0, gain - price, -np.inf)
+    return np.asarray(state.held["nets", family])
 
 
 def _upper(state: State, family: int, number: int) -> float:

@@ -29,7 +29,7 @@ class Status(StrEnum):
     NOT_TESTED = "not-tested"
     """A column is missing"""
     NOT_DECIDED = "not-decided"
-    """The search ended before it was compared with all else"""
+    """The search ended before it was compared with all else, or held-out readings contradict its evidence"""
 
 
 UNCHECKED = "no reading is checked by the others"
@@ -49,7 +49,7 @@ def status(candidate: DetectableCandidate, named: Iterable[IdentifiedEffect], de
         return Status.NAMED
     if not candidate.testable:
         return Status.NOT_TESTABLE
-    if not decided:
+    if not decided or candidate.required:
         return Status.NOT_DECIDED
     seen = excluded_above(candidate) <= candidate.plausible and not candidate.missed and not is_swallowed(candidate)
     return Status.EXCLUDED if seen else Status.CANNOT_SEE
@@ -112,6 +112,8 @@ def reason(candidate: DetectableCandidate, word: str, structure: Sequence[str] =
     plausible, at = parameter.readable(candidate.plausible)
     if word == Status.NOT_TESTABLE:
         return f"absorbed by {', '.join(candidate.absorbed_by)}; `undetected` is for {plausible:.3g} {at}".rstrip()
+    if word == Status.NOT_DECIDED and candidate.required:
+        return "its evidence would name it, but held-out readings do not confirm it or what stands for it"
     if word == Status.NOT_DECIDED:
         return "the search ended before this was decided"
     size, unit = parameter.readable(excluded_above(candidate))

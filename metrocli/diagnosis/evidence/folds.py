@@ -29,8 +29,12 @@ Key = tuple[int, int]
 """Family and number of an effect"""
 _FEWEST = 4
 """Fewest units from whose scatter a variance is taken"""
+_RATHER_LARGE = 2.0
+"""Largest factor that white noise alone may give: a jackknife is rather too large, which few units need"""
 _NOTHING = 0.01
 """Level from which the size of an effect may be nothing"""
+_INFLATION = 1.5
+"""Variance inflation from which other parts can stand for an effect: they share a third of its information"""
 
 
 def gains(state: State, names: Sequence[IdentifiedEffect], ordered: Ordered = map, nested: bool = True) -> list[Gain]:
@@ -125,27 +129,39 @@ def with_jackknife(state: State, effects: Sequence[IdentifiedEffect]) -> tuple[I
     """Return identified effects with the covariance that leaving out units shows, where it is the larger one.
 
     Without unit g of G the q sizes change by d_g, and their covariance is C_g. That of the model, C, is multiplied by
-    `f = (G - 1)/G sum_g d_g' C^-1 d_g / (q max(1, e_g))`, `e_g = tr C^-1 C_g / q - 1`, at least by 1 (jackknife: Efron
-    1982; CR3: Bell and McCaffrey 2002). A unit that has more than half of what determines a size counts as one of half
-    of it: what the others say of the size says little of that unit's errors.
+    `f = (G - 1)/G sum_g d_g' C^-1 d_g / (q max(1, e_g))`, at least by 1.
+
+    Here `e_g = tr C^-1 C_g / q - 1` (jackknife: Efron 1982; CR3: Bell and McCaffrey 2002). A unit that has more than
+    half of what determines a size counts as half: the other units hardly show its errors. White noise alone gives f of
+    `E = (G - 1)/G sum_g min(1, e_g)`, large where the units need each other. So f is divided by E/2 where that exceeds
+    1.
     """
     factors = _factors(state) if effects else {}
     return tuple(replace(one, covariance=one.covariance * factors.get(one.key, 1.0)) for one in effects)
 
 
 def least_sure(state: State, effects: Sequence[IdentifiedEffect]) -> Fixed | None:
-    """Return the effect of the least evidence among those whose size may be nothing beside what units scatter by.
+    """Return the effect of the least evidence among those that others can stand for and whose size may be nothing.
 
-    Two that nearly cancel each other may both pay, at sizes that hinge on a few images.
+    Two that nearly cancel each other may both pay, at sizes that hinge on a few images. An effect whose columns are not
+    those of others stays, with the uncertainty that it has.
     """
     unsure = {effect.key for effect in effects if effect.level_of_size > _NOTHING}
-    nets = zip(state.without_fixed().tolist(), state.fixed, strict=True) if unsure else ()
-    own = [(net, part) for net, part in nets if part.sort == EFFECT and part.key in unsure]
-    return min(own, key=lambda one: one[0])[1] if own else None
+    if not unsure:
+        return None
+    fit, ends = state.fit, np.cumsum([0, *(part.rank for part in state.fixed)]).tolist()
+    lower = fit.lower[fit.fixed :, fit.fixed :]
+    gram, inverse = lower @ lower.T, np.linalg.inv(lower)
+    covariance, nets, least = inverse.T @ inverse, state.without_fixed(), None
+    for part, net, (a, b) in zip(state.fixed, nets.tolist(), pairwise(ends), strict=True):
+        inflation = float(np.vdot(gram[a:b, a:b], covariance[a:b, a:b])) / max(b - a, 1)
+        if part.sort == EFFECT and part.key in unsure and inflation > _INFLATION and (least is None or net < least[0]):
+            least = net, part
+    return None if least is None else least[1]
 
 
 def surely(state: State) -> State:
-    """Return the state without the effects whose sizes may be nothing, the one of the least evidence first."""
+    """Return the state without the effects that are least sure, one after the other."""
     while (part := least_sure(state, with_jackknife(state, all_identified(state, with_rivals=False)))) is not None:
         state = state.minus([part])
     return state
@@ -157,7 +173,7 @@ def _factors(state: State) -> dict[Key, float]:
     model = Model(state.fixed, state.random, state.logs)
     whole = fit_at(products_of(m, state.fixed, state.random), state.logs)
     own = _estimates(state.fixed, whole)
-    squares: dict[Key, list[float]] = {key: [] for key in own}
+    squares: dict[Key, list[tuple[float, float]]] = {key: [] for key in own}
     for number in sorted({*rows.tolist()} - {-1}):
         fold = Fold(m, np.flatnonzero(rows == number))
         fit = fit_at(fold.products(model), state.logs)
@@ -165,9 +181,13 @@ def _factors(state: State) -> dict[Key, float]:
         for key, (sizes, covariance) in _estimates(fold.others(state.fixed), fit).items():
             change, q, inverse = sizes - own[key][0], len(sizes), np.linalg.inv(own[key][1])
             more = float(np.vdot(inverse, covariance)) / q - 1
-            squares[key].append(float(change @ inverse @ change) / q / max(1.0, more))
-    shown = {key: (len(each), sum(each) / state.variance) for key, each in squares.items() if len(each) >= _FEWEST}
-    return {key: max((count - 1) / count * total, 1.0) for key, (count, total) in shown.items()}
+            squares[key].append((float(change @ inverse @ change) / q / max(1.0, more), min(1.0, more)))
+    factors = {}
+    for key, each in squares.items():
+        if len(each) >= _FEWEST:
+            found, expected = np.sum(each, axis=0) * (len(each) - 1) / len(each)
+            factors[key] = max(found / state.variance / max(1.0, expected / _RATHER_LARGE), 1.0)
+    return factors
 
 
 def _estimates(parts: Sequence[Fixed], fit: Fit) -> dict[Key, tuple[Array, Array]]:
