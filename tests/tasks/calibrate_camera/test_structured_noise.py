@@ -123,11 +123,13 @@ def test_what_varies_in_each_image_is_left_unexplained() -> None:
     job = halves.simulated(np.random.default_rng([82, 6]), 6, 4.0)
     found = diagnose(calibrate_camera.diagnosed(replace(job, settings=replace(job.settings, noise=0.05))))
     assert found.left is not None and found.left.depends_on == ("place in the image",)
-    assert (found.findings, found.verdict) == ((), "unexplained")
+    assert found.verdict == "unexplained"
+    # what is named beside it may be nothing, by its own uncertainty
+    assert all(one.effect.level_of_size > 0.05 for one in found.findings)
     # a small structure is let pass, but not beside smooth errors that are larger
-    little = replace(found.left, share=0.01)
-    assert replace(found, left=little).verdict == "clean"
-    assert replace(found, left=replace(little, beside=0.08)).verdict == "unexplained"
+    little, alone = replace(found.left, share=0.01), replace(found, findings=())
+    assert replace(alone, left=little).verdict == "clean"
+    assert replace(alone, left=replace(little, beside=0.08)).verdict == "unexplained"
 
 
 @pytest.mark.slow
