@@ -134,7 +134,7 @@ def with_jackknife(state: State, effects: Sequence[IdentifiedEffect]) -> tuple[I
     Here `e_g = tr C^-1 C_g / q - 1` (jackknife: Efron 1982; CR3: Bell and McCaffrey 2002). A unit that has more than
     half of what determines a size counts as half: the other units hardly show its errors. White noise alone gives f of
     `E = (G - 1)/G sum_g min(1, e_g)`, large where the units need each other. So f is divided by E/2 where that exceeds
-    1.
+    1 (docs/decisions/269-uncertainties-by-units-left-out.md).
     """
     factors = _factors(state) if effects else {}
     return tuple(replace(one, covariance=one.covariance * factors.get(one.key, 1.0)) for one in effects)
