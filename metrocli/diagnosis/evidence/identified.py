@@ -71,8 +71,10 @@ class IdentifiedEffect:
         """Level at which its size differs from 0 beside its covariance (chi-square)."""
         from scipy.special import chdtrc
 
-        own, q = self.values[self.seen], int(self.seen.sum())
-        inverse = np.linalg.pinv(self.covariance[np.ix_(self.seen, self.seen)], hermitian=True)
+        covariance, q = self.covariance[np.ix_(self.seen, self.seen)], int(self.seen.sum())
+        # in standard deviations, since parameters have different units
+        std = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+        own, inverse = self.values[self.seen] / std, np.linalg.pinv(covariance / std / std[:, None], hermitian=True)
         return float(chdtrc(q, own @ inverse @ own)) if q else 0.0
 
     @property
