@@ -79,7 +79,7 @@ class RandomEffect:
 
 @dataclass(frozen=True)
 class Unconfirmed:
-    """An effect that the readings seem to require, but that predicts held-out readings no better or may be nothing."""
+    """An effect that the readings seem to require, but that held-out readings do not confirm."""
 
     name: str
     """Of the effect, with its place"""
@@ -92,7 +92,7 @@ class Unconfirmed:
         """What speaks against it, in words."""
         if self.log_score <= 0:
             return f"log score {self.log_score:+.1f}"
-        return f"its size changes so much without single parts that it may be nothing, p = {self.size_level:.2g}"
+        return f"its size is within what it changes when parts of the readings are left out, p = {self.size_level:.2g}"
 
 
 @dataclass(frozen=True)

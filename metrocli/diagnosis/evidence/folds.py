@@ -146,25 +146,34 @@ def least_sure(state: State, effects: Sequence[IdentifiedEffect]) -> Fixed | Non
     Two that nearly cancel each other may both pay, at sizes that hinge on a few images. An effect whose columns are not
     those of others stays, with the uncertainty that it has.
     """
-    unsure = {effect.key for effect in effects if effect.level_of_size > _NOTHING}
-    if not unsure:
-        return None
-    fit, ends = state.fit, np.cumsum([0, *(part.rank for part in state.fixed)]).tolist()
-    lower = fit.lower[fit.fixed :, fit.fixed :]
-    gram, inverse = lower @ lower.T, np.linalg.inv(lower)
-    covariance, nets, least = inverse.T @ inverse, state.without_fixed(), None
-    for part, net, (a, b) in zip(state.fixed, nets.tolist(), pairwise(ends), strict=True):
-        inflation = float(np.vdot(gram[a:b, a:b], covariance[a:b, a:b])) / max(b - a, 1)
-        if part.sort == EFFECT and part.key in unsure and inflation > _INFLATION and (least is None or net < least[0]):
-            least = net, part
-    return None if least is None else least[1]
+    unsure = {effect.key for effect in effects if effect.level_of_size > _NOTHING} & _collinear(state)
+    nets = zip(state.without_fixed().tolist(), state.fixed, strict=True) if unsure else ()
+    own = [(net, part) for net, part in nets if part.sort == EFFECT and part.key in unsure]
+    return min(own, key=lambda one: one[0])[1] if own else None
 
 
 def surely(state: State) -> State:
     """Return the state without the effects that are least sure, one after the other."""
-    while (part := least_sure(state, with_jackknife(state, all_identified(state, with_rivals=False)))) is not None:
+    while _collinear(state):
+        part = least_sure(state, with_jackknife(state, all_identified(state, with_rivals=False)))
+        if part is None:
+            break
         state = state.minus([part])
     return state
+
+
+def _collinear(state: State) -> set[Key]:
+    """Return the effects whose variance the other fixed parts inflate, so that these can stand for them."""
+    lower = state.fit.lower[state.fit.fixed :, state.fit.fixed :]
+    gram, inverse = lower @ lower.T, np.linalg.inv(lower)
+    covariance, ends = inverse.T @ inverse, np.cumsum([0, *(part.rank for part in state.fixed)]).tolist()
+    placed = [(part, slice(*place)) for part, place in zip(state.fixed, pairwise(ends), strict=True)]
+    inflation = {
+        part.key: float(np.vdot(gram[own, own], covariance[own, own])) / part.rank
+        for part, own in placed
+        if part.sort == EFFECT
+    }
+    return {key for key, factor in inflation.items() if factor > _INFLATION}
 
 
 def _factors(state: State) -> dict[Key, float]:

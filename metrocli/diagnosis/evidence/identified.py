@@ -72,8 +72,8 @@ class IdentifiedEffect:
         from scipy.special import chdtrc
 
         covariance, q = self.covariance[np.ix_(self.seen, self.seen)], int(self.seen.sum())
-        # in standard deviations, since parameters have different units
-        std = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+        # in standard deviations, since parameters have different units; one without a variance has no size either
+        std = np.sqrt(np.where(np.diag(covariance) > 0, np.diag(covariance), 1.0))
         own, inverse = self.values[self.seen] / std, np.linalg.pinv(covariance / std / std[:, None], hermitian=True)
         return float(chdtrc(q, own @ inverse @ own)) if q else 0.0
 

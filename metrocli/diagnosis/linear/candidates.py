@@ -94,7 +94,7 @@ class CandidateGroup:
         return self.name, self.columns.count, self.columns.parameters
 
     def changes(self, gram: Array, right: Array) -> Array:
-        """Return what each alternative changes in all readings, norms (alternatives,), at the size that fits best."""
+        """Return the norm of each alternative, (alternatives,), at its best size; columns count as orthogonal."""
         sizes = np.linalg.pinv(gram, hermitian=True) @ right[:, :, None]
         return np.asarray(np.linalg.norm(sizes[:, :, 0] * self.raw, axis=1))
 

@@ -8,6 +8,7 @@ from benchmarks.hidden import images
 from benchmarks.hidden.scenes import board_scene, part_scene
 from metrocli.diagnosis.detectability import design
 from metrocli.diagnosis.diagnose import _confirmed
+from metrocli.diagnosis.evidence.folds import surely
 from metrocli.diagnosis.evidence.identified import all_identified
 from metrocli.diagnosis.evidence.measured_job import measurement_of
 from metrocli.diagnosis.evidence.measurement import Measurement
@@ -64,17 +65,20 @@ def test_a_size_within_the_scatter_of_the_images_has_an_uncertainty_that_shows_i
     assert names[0].level_of_size > 0.05
 
 
-def test_of_two_that_nearly_cancel_each_other_the_one_of_more_evidence_stays() -> None:
-    m, rng = board(12, (6, 5)), np.random.default_rng(36)
-    skew, stretch = (number_of_effect(m, name) for name in ("axis-skew", "stretched-targets"))
-    # the images scatter in both, so that each pays beside the other
+def test_what_another_effect_can_stand_for_leaves_if_its_size_may_be_nothing() -> None:
+    m, rng = board(12, (6, 5)), np.random.default_rng(10)
+    prism, skew = (number_of_effect(m, name) for name in ("thin-prism", "axis-skew"))
     image = m.system.basis.member
-    own = 25 + 10 * rng.normal(size=image.max() + 1)
-    drawn = with_residual(m, rng.normal(size=m.system.rows) + m.effect(skew, 0).columns[:, 0] * own[image])
-    state = State.of(drawn, [drawn.effect(skew, 0), drawn.effect(stretch, 0)], [], [], 0)
-    left, names, *_ = _confirmed(state, map, quick=False)
-    assert [part.family for part in left.named] == [skew]
-    assert names[0].level_of_size < 0.05
+    # a thin prism that all images share, and a skew of each image whose mean is nothing
+    errors = rng.normal(size=m.system.rows) + 25 * m.effect(prism, 0).columns[:, 0]
+    own = 20 * rng.normal(size=image.max() + 1)[image]
+    drawn = with_residual(m, errors + m.effect(skew, 0).columns[:, 0] * own)
+    both = State.of(drawn, [drawn.effect(prism, 0), drawn.effect(skew, 0)], [], [], 0)
+    assert min(both.without_fixed()) > 5
+    assert [part.family for part in surely(both).named] == [prism]
+    # by itself nothing can stand for it
+    alone = State.of(drawn, [drawn.effect(skew, 0)], [], [], 0)
+    assert surely(alone) is alone
 
 
 def test_what_the_evidence_would_name_is_not_excluded() -> None:
