@@ -5,15 +5,16 @@ Method: docs/algorithms/evidence.md.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import cached_property
 from itertools import pairwise
 from typing import cast
 
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
-from metrocli.adjust.model.observations import Index
+from metrocli.adjust.model.observations import Index, Mask
 from metrocli.diagnosis.adjusted_job import Ordered
 from metrocli.diagnosis.evidence.gain import Gain, Held, gain_of
 from metrocli.diagnosis.evidence.held_out import Fold, Model, Train, folds_of
@@ -27,6 +28,8 @@ from metrocli.frozen import dataclass
 
 Key = tuple[int, int]
 """Family and number of an effect"""
+_RULED_OUT = 1e-3
+"""Probability below which a fold leaves an effect out: it would change nothing"""
 _FEWEST = 4
 """Fewest units from whose scatter a variance is taken"""
 _RATHER_LARGE = 2.0
@@ -40,8 +43,11 @@ _INFLATION = 1.5
 def gains(state: State, names: Sequence[IdentifiedEffect], ordered: Ordered = map, nested: bool = True) -> list[Gain]:
     """Return the gain of each identified effect, then of all together; `ordered` computes the folds.
 
-    In each fold an effect is in the model only if the other readings choose it, or a rival of it, beside the other
-    effects. What is not `nested` has all effects in each fold, which takes a third of the time and flatters a little.
+    In each fold an effect, or a rival of it, predicts with the probability that the other readings give it beside the
+    other effects: `p = (1 - w) p_without + w p_with`. Chosen or not, with nothing between, effects near the price would
+    lose what supports them and keep what does not: the fold that shows them most is the one without which they are not
+    chosen (docs/decisions/270-effects-predict-with-their-probability.md). What is not `nested` has all effects in each
+    fold, which takes a third of the time and flatters a little.
     """
     rows = folds_of(state.measurement)
     numbers = sorted({*rows.tolist()} - {-1})
@@ -67,40 +73,66 @@ class _Nested:
         fold = Fold(m, np.flatnonzero(self.rows == number))
         model = Model(state.fixed, state.random, state.logs)
         # a candidate that the held-out readings have helped to choose would be judged by the readings that chose it
-        chosen = {name.key: self._chosen(fold, model, name) for name in self.names}
-        readings = state.readings
+        chosen = {name.key: one for name in self.names if (one := self._chosen(fold, model, name)) is not None}
+        likely = {key: part for key, (part, weight) in chosen.items() if weight >= 0.5}
 
-        def with_names(names: Iterable[IdentifiedEffect]) -> Held:
-            own = (one for name in names if (one := chosen[name.key]) is not None)
-            return fold.predicted(model.with_fixed((*own, *readings)))
+        def with_parts(parts: Mapping[Key, Fixed]) -> Held:
+            return fold.predicted(model.with_fixed((*parts.values(), *state.readings)))
 
-        every = with_names(self.names)
+        every = with_parts(likely)
         pairs = []
-        for name in self.names:
-            others = [other for other in self.names if other is not name]
-            # an effect that this fold does not choose changes no prediction, so that its gain there is exactly 0
-            before = every if chosen[name.key] is None else with_names(others)
-            pairs.append((before, every))
-        # the last pair compares none with all: gains of single effects beside the others do not add up to it
-        return pairs if len(self.names) < 2 else [*pairs, (with_names(()), every)]
+        for key in (name.key for name in self.names):
+            part, weight = chosen.get(key, (None, 0.0))
+            if part is None:
+                # an effect that the others rule out changes no prediction, so that its gain there is exactly 0
+                pairs.append((every, every))
+            elif key in likely:
+                without = with_parts({other: own for other, own in likely.items() if other != key})
+                pairs.append((without, without.mixed(every, weight)))
+            else:
+                pairs.append((every, every.mixed(with_parts({**likely, key: part}), weight)))
+        if len(self.names) > 1:
+            # the last pair compares none with all: gains of single effects beside the others do not add up to it
+            without = with_parts({})
+            # all of them are at most as probable as the least of them
+            weight = min((chosen[key][1] for key in likely), default=0.0)
+            pairs.append((without, without.mixed(every, weight)))
+        return pairs
 
-    def _chosen(self, fold: Fold, model: Model, name: IdentifiedEffect) -> Fixed | None:
-        """Return the effect, or its rival, that the other readings choose; None if they choose another one, or none."""
+    @cached_property
+    def _owns(self) -> dict[Key, list[Mask]]:
+        """Of each effect, which alternatives of each family are it or its rivals."""
+        families = self.state.measurement.families
+        spots = {
+            name.key: {name.alternative.spot, *(one.alternative.spot for one in name.rivals)} for name in self.names
+        }
+        return {
+            key: [np.array([one.spot in own for one in family.alternatives]) for family in families]
+            for key, own in spots.items()
+        }
+
+    def _chosen(self, fold: Fold, model: Model, name: IdentifiedEffect) -> tuple[Fixed, float] | None:
+        """Return the effect, or its rival, that the other readings favour, and its probability; None if it is nearly 0.
+
+        It is `e^a/(1 + e^a + e^b)`, a the net gain of the effect or its best rival and b that of the best other cause.
+        """
         m = self.state.measurement
         if not self.nested:
-            return next(part for part in model.fixed if part.key == name.key)
+            return next(part for part in model.fixed if part.key == name.key), 1.0
         others = model.with_fixed(part for part in model.fixed if part.key != name.key)
-        spots = {name.alternative.spot, *(rival.alternative.spot for rival in name.rivals)}
-        train = Train.of(fold, others, self.state)
-        best, at = -np.inf, (0, 0)
-        for number, family in enumerate(m.families):
-            net = train.nets(number) - (OF_ALL if family.unknown else 0.0)
-            if len(net) and net.max() > best:
-                best, at = float(net.max()), (number, int(np.argmax(net)))
+        train, owns = Train.of(fold, others, self.state), self._owns[name.key]
         # a first effect has to pay for itself only; a further one has the higher price that the search asks of it
-        if best <= (FURTHER if others.fixed else 0.0) or m.alternative(at).spot not in spots:
+        further = FURTHER if others.fixed else 0.0
+        net, key, other = -np.inf, name.key, -np.inf
+        for number, (family, own) in enumerate(zip(m.families, owns, strict=True)):
+            nets = train.nets(number) - (OF_ALL if family.unknown else 0.0) - further
+            other = max(other, float(nets[~own].max(initial=-np.inf)))
+            if own.any() and (best := float(nets[own].max())) > net:
+                net, key = best, (number, int(np.argmax(np.where(own, nets, -np.inf))))
+        weight = float(np.exp(net - np.logaddexp.reduce([0.0, net, other])))
+        if weight < _RULED_OUT:
             return None
-        return next((part for part in model.fixed if part.key == at), None) or m.effect(*at)
+        return next((part for part in model.fixed if part.key == key), None) or m.effect(*key), weight
 
 
 def gain_of_parts(state: State, parts: Sequence[Fixed | Random]) -> Gain:

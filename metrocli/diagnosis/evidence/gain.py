@@ -63,6 +63,17 @@ class Held:
     variances: Array
     """Of the predictions with the noise of the readings, (n,)"""
 
+    def mixed(self, other: Held, weight: float) -> Held:
+        """Return the mean of two predictions of a fold, of which the other one has a probability."""
+        if weight >= 1:
+            return other
+        own = 1 - weight
+        score = float(np.logaddexp(np.log(own) + self.score, np.log(weight) + other.score)) if weight else self.score
+        errors = own * self.errors + weight * other.errors
+        apart = own * weight * (other.errors - self.errors) ** 2
+        variances = own * self.variances + weight * other.variances + apart
+        return Held(score, errors, self.scale, self.shares, variances)
+
 
 def gain_of(pairs: Sequence[tuple[Held, Held]]) -> Gain:
     """Return the gain from the predictions of all folds without and with what is judged."""
