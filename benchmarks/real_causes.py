@@ -5,8 +5,9 @@ planted: with what an adjustment finds of it in the set, it is 1, 2 and 4 times 
 for the set as it is. Adjustments with code of their own (benchmarks/real) plant the effects and judge the names: one is
 false if it predicts held-out images, or parts of a drive, worse. What a set had of an effect is known roughly, so
 intervals are judged by two halves of its images, each diagnosed alone: their sizes of the planted effect have to agree
-within the uncertainties of both. Of a survey and of a network of images, published results are the judge; an effect is
-planted beside what these have of it. The data are not part of the project; where ../shared/data is absent the benchmark
+within the uncertainties of both. Of a survey and of a network of images, published results are the judge. What a survey
+has of an effect is what its own job finds with the effect in its model; into the network it is planted beside what is
+published of it. The data are not part of the project; where ../shared/data is absent the benchmark
 reports it and ends.
 
     python -m benchmarks real_causes [SET ...]
@@ -262,7 +263,10 @@ def of_survey(title: str, folder: Path) -> Iterator[Case]:
     def job(name: str, change: tuple[str, Where, Sequence[float]] | None = None) -> Path:
         return survey.job(folder / name, name != spot[0], change)
 
-    yield from _left_out_and_planted(title, job, {spot: ()}, survey.PLANTED)
+    def contained(name: str, where: Where) -> Sequence[float]:
+        return survey.contained(folder / f"with-{name}", name, where)
+
+    yield from _left_out_and_planted(title, job, {spot: ()}, survey.PLANTED, contained)
 
 
 def of_network(title: str, folder: Path) -> Iterator[Case]:
@@ -280,8 +284,9 @@ def _left_out_and_planted(
     job: Callable[..., Path],
     left_out: Mapping[Named, tuple[float, ...]],
     planted: Mapping[str, int],
+    contained: Callable[[str, Where], Sequence[float]] = lambda name, where: (0.0,),
 ) -> Iterator[Case]:
-    """Yield the cases of a set that is judged by what is published of it."""
+    """Yield the cases of a set that is judged by what is published of it; `contained` is what it has of an effect."""
     data, seconds, after = diagnosed(job("as-is"))
     plain = Case(f"{title}: as it is", "as it is", data, seconds, extended=after)
     yield plain
@@ -295,9 +300,10 @@ def _left_out_and_planted(
         chosen = places[int(rng.integers(len(places)))]
         least, direction = float(chosen["minimal_detectable"]["value"]), rng.normal(size=count)
         direction /= np.linalg.norm(direction)
+        was = np.array(contained(name, chosen["where"]))
         for times in TIMES:
             sizes = tuple((times * least * direction).tolist())
-            changed = job(f"{name}-{times:g}", (name, chosen["where"], sizes))
+            changed = job(f"{name}-{times:g}", (name, chosen["where"], tuple((sizes - was).tolist())))
             data, seconds, _ = diagnosed(changed, extend=False)
             spot = _named(chosen)
             case = f"{title}: {' '.join([name, *spot[1]])} {times:g}x"

@@ -14,6 +14,9 @@ from pathlib import Path
 
 import numpy as np
 
+from metrocli.project.job import JobOptions, load
+from metrocli.project.runner import compute
+
 SOURCE = Path(__file__).parents[3] / "shared" / "data" / "antenna-tie"
 EPOCH = "height-epoch"
 WRONG = ("WAW1", "WAW2", -118.1)
@@ -23,8 +26,16 @@ PLANTED = {"tracker-vertical-index": 1, "tracker-azimuth-harmonic": 2, "tracker-
 FILES = ("readings", "stations", "setups", "heights", "points", "covariance")
 
 
-def job(folder: Path, epoch: bool, change: tuple[str, Mapping[str, str], Sequence[float]] | None = None) -> Path:
-    """Write the job without the wrong line; with the mark's other height if `epoch`, and with a change planted."""
+def job(
+    folder: Path,
+    epoch: bool,
+    change: tuple[str, Mapping[str, str], Sequence[float]] | None = None,
+    effects: Sequence[tuple[str, Mapping[str, str]]] = (),
+) -> Path:
+    """Write the job without the wrong line, and with effects in its model; with a change planted.
+
+    If `epoch`, the mark has another height in the later levelling.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     for name in FILES:
         shutil.copyfile(SOURCE / f"{name}.csv", folder / f"{name}.csv")
@@ -32,9 +43,20 @@ def job(folder: Path, epoch: bool, change: tuple[str, Mapping[str, str], Sequenc
     if change is not None:
         _write(folder / "readings.csv", [_changed(row, *change) for row in _read("readings")])
     text = (SOURCE / "job.yaml").read_text(encoding="utf-8")
-    effect = f"effects: [{{name: {EPOCH}, point: WAW3, method: later-levelling}}]\n" if epoch else ""
-    (folder / "job.yaml").write_text(text.replace("output:", f"{effect}output:"), encoding="utf-8")
+    known = [(EPOCH, {"point": "WAW3", "method": "later-levelling"})] if epoch else []
+    listed = [
+        "{" + ", ".join(f"{key}: {value}" for key, value in {"name": name, **where}.items()) + "}"
+        for name, where in (*known, *effects)
+    ]
+    own = f"effects: [{', '.join(listed)}]\n" if listed else ""
+    (folder / "job.yaml").write_text(text.replace("output:", f"{own}output:"), encoding="utf-8")
     return folder / "job.yaml"
+
+
+def contained(folder: Path, name: str, where: Mapping[str, str]) -> list[float]:
+    """Return what the adjustment of the survey finds of an effect, beside the mark's other height."""
+    result, _ = compute(load(job(folder, True, effects=[(name, where)]), JobOptions(accept_doubtful=True)))
+    return [one.value for one in result.estimates if one.name.startswith(f"{name}.")]
 
 
 def _is_wrong(row: Mapping[str, str]) -> bool:

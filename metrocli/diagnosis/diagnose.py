@@ -125,26 +125,20 @@ def _confirmed(
 ) -> tuple[State, tuple[IdentifiedEffect, ...], list[Gain], tuple[Unconfirmed, ...]]:
     """Return the state without what held-out readings speak against, its effects with their gains, and what it lost.
 
-    The log score of held-out readings and the net evidence of all are both logarithms of odds: an effect stays while
-    their sum is positive. Folds that lie between others show little of a jump, whose evidence is large. In a quick
-    diagnosis the log score alone has to be: its evidence is that in white noise. A smooth effect, which fits whatever
-    readings share, stays where its gain is shown. Effects whose sizes may be nothing leave one by one.
+    An effect stays while the log score of held-out readings is positive. A smooth effect, which fits whatever readings
+    share, stays where its gain is shown. Effects whose sizes may be nothing leave one by one.
     """
     state, lost = with_shown(state)
     while True:
         names = all_identified(state) if quick else with_jackknife(state, all_identified(state))
         gained = gains(state, names, ordered, nested=not quick) if names else []
-        nets = dict(zip((part.key for part in state.fixed), state.without_fixed().tolist(), strict=True))
-        against = [
-            (part, name, gain)
-            for part, name, gain in zip(state.named, names, gained, strict=False)
-            if gain.log_score + (0.0 if quick else nets[part.key]) <= 0
-        ]
+        judged = list(zip(state.named, names, gained, strict=False))
+        against = [one for one in judged if one[2].log_score <= 0]
         if not against:
             unsure = least_sure(state, names)
             if unsure is None:
                 return state, names, gained, tuple(lost)
-            against = [one for one in zip(state.named, names, gained, strict=False) if one[0] is unsure]
+            against = [one for one in judged if one[0] is unsure]
         lost += [Unconfirmed(str(name.alternative), gain.log_score, name.level_of_size) for _, name, gain in against]
         state = state.minus([part for part, _, _ in against])
 
