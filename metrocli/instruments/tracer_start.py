@@ -39,11 +39,11 @@ def start(points: Array, lengths: Array, absolute: bool = False, near: Array | N
     contents = (
         None if array is None else np.asarray(array, dtype=float).tobytes() for array in (points, lengths, near)
     )
-    return np.array(_found(*contents, absolute))
+    return np.array(_from_contents(*contents, absolute))
 
 
 @lru_cache(maxsize=64)
-def _found(points: bytes, lengths: bytes, near: bytes | None, absolute: bool) -> Array:
+def _from_contents(points: bytes, lengths: bytes, near: bytes | None, absolute: bool) -> Array:
     """Return what `start` returns, from the contents of its arrays.
 
     The last ones are kept: other settings of a job are tried on the same lengths many times.
@@ -98,7 +98,8 @@ def _unspoiled(local: Array, reading: Array, absolute: bool) -> Array:
     gross errors (Rousseeuw 1984, least median of squares).
     """
     n = len(local)
-    rows = np.array(Random(0).choices(range(n), k=7 * _DRAWS)).reshape(_DRAWS, 7)
+    draw = Random(0)
+    rows = np.array([draw.sample(range(n), 7) for _ in range(_DRAWS)])
     known, last = reading[rows][:, :, None], -np.ones((*rows.shape, 1))
     matrix = np.concatenate([2 * local[rows], *([] if absolute else [2 * known]), last], axis=2)
     right = (local[rows] ** 2).sum(axis=2) - reading[rows] ** 2
