@@ -16,12 +16,11 @@ from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index
 from metrocli.diagnosis.adjusted_job import Ordered
 from metrocli.diagnosis.evidence.gain import Gain, Held, gain_of
-from metrocli.diagnosis.evidence.held_out import Fold, Model, Train, folds_of
+from metrocli.diagnosis.evidence.held_out import Fold, Others, folds_of
 from metrocli.diagnosis.evidence.identified import IdentifiedEffect, all_identified
-from metrocli.diagnosis.evidence.likelihood import Fit, fit_at
+from metrocli.diagnosis.evidence.likelihood import Fit
 from metrocli.diagnosis.evidence.parts import EFFECT, Fixed, Random
 from metrocli.diagnosis.evidence.prices import FURTHER, OF_ALL
-from metrocli.diagnosis.evidence.products import products_of
 from metrocli.diagnosis.evidence.state import State
 from metrocli.frozen import dataclass
 
@@ -63,16 +62,15 @@ class _Nested:
     def __call__(self, number: int) -> list[tuple[Held, Held]]:
         """Return the predictions of a fold without and with each effect, and all of them."""
         state = self.state
-        m = state.measurement
-        fold = Fold(m, np.flatnonzero(self.rows == number))
-        model = Model(state.fixed, state.random, state.logs)
+        whole = Others.of(Fold(state.measurement, np.flatnonzero(self.rows == number)), state)
         # a candidate that the held-out readings have helped to choose would be judged by the readings that chose it
-        chosen = {name.key: self._chosen(fold, model, name) for name in self.names}
-        readings = state.readings
+        chosen = {name.key: self._chosen(whole, name) for name in self.names}
 
         def with_names(names: Iterable[IdentifiedEffect]) -> Held:
-            own = (one for name in names if (one := chosen[name.key]) is not None)
-            return fold.predicted(model.with_fixed((*own, *readings)))
+            own = [one for name in names if (one := chosen[name.key]) is not None]
+            new = [one for one in own if all(one is not part for part in state.fixed)]
+            at = Others.of(whole.fold, state.plus(new, steps=0)) if new else whole
+            return at.keeping((*own, *state.readings)).predicted()
 
         every = with_names(self.names)
         pairs = []
@@ -84,23 +82,22 @@ class _Nested:
         # the last pair compares none with all: gains of single effects beside the others do not add up to it
         return pairs if len(self.names) < 2 else [*pairs, (with_names(()), every)]
 
-    def _chosen(self, fold: Fold, model: Model, name: IdentifiedEffect) -> Fixed | None:
+    def _chosen(self, whole: Others, name: IdentifiedEffect) -> Fixed | None:
         """Return the effect, or its rival, that the other readings choose; None if they choose another one, or none."""
-        m = self.state.measurement
+        m, parts = self.state.measurement, self.state.fixed
         if not self.nested:
-            return next(part for part in model.fixed if part.key == name.key)
-        others = model.with_fixed(part for part in model.fixed if part.key != name.key)
+            return next(part for part in parts if part.key == name.key)
         spots = {name.alternative.spot, *(rival.alternative.spot for rival in name.rivals)}
-        train = Train.of(fold, others, self.state)
+        others = whole.keeping(part for part in parts if part.key != name.key)
         best, at = -np.inf, (0, 0)
         for number, family in enumerate(m.families):
-            net = train.nets(number) - (OF_ALL if family.unknown else 0.0)
+            net = others.nets(number) - (OF_ALL if family.unknown else 0.0)
             if len(net) and net.max() > best:
                 best, at = float(net.max()), (number, int(np.argmax(net)))
         # a first effect has to pay for itself only; a further one has the higher price that the search asks of it
-        if best <= (FURTHER if others.fixed else 0.0) or m.alternative(at).spot not in spots:
+        if best <= (FURTHER if len(parts) > 1 else 0.0) or m.alternative(at).spot not in spots:
             return None
-        return next((part for part in model.fixed if part.key == at), None) or m.effect(*at)
+        return next((part for part in parts if part.key == at), None) or m.effect(*at)
 
 
 def gain_of_parts(state: State, parts: Sequence[Fixed | Random]) -> Gain:
@@ -120,7 +117,7 @@ def gain_between(before: State, after: State) -> Gain:
         held = []
         for one in (before, after):
             fold = Fold(one.measurement, np.flatnonzero(rows == number))
-            held.append(fold.predicted(Model(one.fixed, one.random, one.logs)))
+            held.append(Others.of(fold, one).predicted())
         pairs.append((held[0], held[1]))
     return gain_of(pairs)
 
@@ -179,15 +176,12 @@ def _collinear(state: State) -> set[Key]:
 def _factors(state: State) -> dict[Key, float]:
     """Return how many times the variance of the model each effect has over the units that are left out in turn."""
     m, rows = state.measurement, folds_of(state.measurement)
-    model = Model(state.fixed, state.random, state.logs)
-    whole = fit_at(products_of(m, state.fixed, state.random), state.logs)
-    own = _estimates(state.fixed, whole)
+    own = _estimates(state.fixed, state.fit)
     squares: dict[Key, list[tuple[float, float]]] = {key: [] for key in own}
     for number in sorted({*rows.tolist()} - {-1}):
-        fold = Fold(m, np.flatnonzero(rows == number))
-        fit = fit_at(fold.products(model), state.logs)
+        others = Others.of(Fold(m, np.flatnonzero(rows == number)), state)
         # an effect that only this unit shows has no size without it
-        for key, (sizes, covariance) in _estimates(fold.others(state.fixed), fit).items():
+        for key, (sizes, covariance) in _estimates(others.kept, others.fit).items():
             change, q, inverse = sizes - own[key][0], len(sizes), np.linalg.inv(own[key][1])
             more = float(np.vdot(inverse, covariance)) / q - 1
             squares[key].append((float(change @ inverse @ change) / q / max(1.0, more), min(1.0, more)))
@@ -203,6 +197,6 @@ def _estimates(parts: Sequence[Fixed], fit: Fit) -> dict[Key, tuple[Array, Array
     """Return sizes of the effects among some fixed parts of a fit, and their covariance for the variance 1."""
     sizes, root = fit.sizes[fit.fixed :], np.linalg.inv(fit.lower[fit.fixed :, fit.fixed :])
     covariance, ends = root.T @ root, np.cumsum([0, *(part.rank for part in parts)]).tolist()
-    # held-out readings and terms of laws have keys too, which can be those of an effect
+    # terms of laws have keys too, which can be those of an effect
     placed = zip(parts, pairwise(ends), strict=True)
     return {part.key: (sizes[a:b], covariance[a:b, a:b]) for part, (a, b) in placed if part.sort == EFFECT}

@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import field, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
@@ -70,8 +69,6 @@ class Measurement:
     """The measurement with the declared noise of all readings; None if it is this one"""
     held: dict[object, Array] = field(default_factory=dict, compare=False, repr=False)
     """Cache of columns and products"""
-    fits: dict[object, Any] = field(default_factory=dict, compare=False, repr=False)
-    """Cache of models with their fits"""
 
     @cached_property
     def squares(self) -> float:

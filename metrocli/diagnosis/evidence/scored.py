@@ -5,7 +5,7 @@ Method: docs/algorithms/evidence.md.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import field, replace
 from functools import cached_property
 from typing import Any, Self
@@ -182,11 +182,17 @@ class Scored:
         random = [self.random[j] for j in kept]
         return type(self).of(self.measurement, fixed, random, self.logs[kept], steps, self.fit.products)
 
+    def keeping(self, fixed: Iterable[Fixed]) -> Self:
+        """Return the state with some of its fixed parts, at the same sizes of the random parts."""
+        ids = {id(part) for part in fixed}
+        kept = [j for j, part in enumerate(self.fixed) if id(part) in ids]
+        fit = self.fit.keeping(kept, len(self.fixed))
+        return replace(self, fixed=tuple(self.fixed[j] for j in kept), fit=fit, held={})
+
     def beside(self, part: Fixed) -> Self:
         """Return the state without a fixed part, at the same sizes of the random parts."""
-        others = [other for other in self.fixed if other is not part]
-        # no steps: sizes that were estimated again would take up what the part has explained
-        return type(self).of(self.measurement, others, self.random, self.logs, 0, self.fit.products)
+        # sizes that were estimated again would take up what the part has explained
+        return self.keeping(other for other in self.fixed if other is not part)
 
     def with_fixed(self, number: int, part: Fixed) -> Self:
         """Return the state with another fixed part in the place of one."""

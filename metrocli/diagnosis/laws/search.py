@@ -14,7 +14,7 @@ from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index, Mask
 from metrocli.diagnosis.adjusted_job import Ordered
 from metrocli.diagnosis.evidence.gain import Gain, Held, gain_of
-from metrocli.diagnosis.evidence.held_out import Fold, Model, Train, folds_of
+from metrocli.diagnosis.evidence.held_out import Fold, Others, folds_of
 from metrocli.diagnosis.evidence.parts import Fixed
 from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.laws.library import Library, Term
@@ -154,27 +154,26 @@ class _Folds:
 
     def __call__(self, number: int) -> list[tuple[Held, Held]]:
         """Return the predictions of a fold without and with laws of 1, 2, ... terms."""
-        state, m = self.lawful.state, self.lawful.state.measurement
-        fold = Fold(m, np.flatnonzero(self.rows == number))
-        terms = {id(part) for _, part in self.lawful.steps}
-        bare = Model(tuple(part for part in state.fixed if id(part) not in terms), state.random, state.logs)
-        before, model, pairs = fold.predicted(bare), bare, list[tuple[Held, Held]]()
+        state, gone = self.lawful.state, {id(part) for _, part in self.lawful.steps}
+        every = Others.of(Fold(state.measurement, np.flatnonzero(self.rows == number)), state)
+        bare = state.keeping(part for part in state.fixed if id(part) not in gone)
+        at, others = bare, every.keeping(bare.fixed)
+        before, pairs = others.predicted(), list[tuple[Held, Held]]()
         for count in range(len(self.lawful.steps)):
             # once no term enters in a fold, no further one does there
-            if len(model.fixed) == len(bare.fixed) + count:
-                one = self._chosen(fold, model, count)
-                model = model if one is None else model.with_fixed((*model.fixed, one))
-            pairs.append((before, fold.predicted(model) if len(model.fixed) > len(bare.fixed) else before))
+            if len(at.fixed) == len(bare.fixed) + count and (one := self._chosen(others, count)) is not None:
+                at = at.plus([one], steps=0)
+                others = Others.of(every.fold, at)
+            pairs.append((before, others.predicted() if len(at.fixed) > len(bare.fixed) else before))
         return pairs
 
-    def _chosen(self, fold: Fold, model: Model, count: int) -> Fixed | None:
+    def _chosen(self, others: Others, count: int) -> Fixed | None:
         """Return the term that the other readings choose; None if they choose none."""
         lawful, library = self.lawful, self.lawful.library
-        train = Train.of(fold, model, lawful.state)
         place = lawful.terms[0].place
         best, chosen = 0.0, None
         for number, terms in enumerate(library.terms):
-            net = train.nets(number)
+            net = others.nets(number)
             if count:
                 # later terms act where the first one of the law does
                 net = np.where([term.place == place for term in terms], net, -np.inf)
