@@ -13,10 +13,9 @@ from typing import cast
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
-from metrocli.adjust.model.observations import Index
 from metrocli.diagnosis.adjusted_job import Ordered
 from metrocli.diagnosis.evidence.gain import Gain, Held, gain_of
-from metrocli.diagnosis.evidence.held_out import Fold, Others, folds_of
+from metrocli.diagnosis.evidence.held_out import Others, fold_numbers
 from metrocli.diagnosis.evidence.identified import IdentifiedEffect, all_identified
 from metrocli.diagnosis.evidence.likelihood import Fit
 from metrocli.diagnosis.evidence.parts import EFFECT, Fixed, Random
@@ -42,9 +41,7 @@ def gains(state: State, names: Sequence[IdentifiedEffect], ordered: Ordered = ma
     In each fold an effect is in the model only if the other readings choose it, or a rival of it, beside the other
     effects. What is not `nested` has all effects in each fold, which takes a third of the time and flatters a little.
     """
-    rows = folds_of(state.measurement)
-    numbers = sorted({*rows.tolist()} - {-1})
-    found = [*ordered(_Nested(state, tuple(names), rows, nested), numbers)]
+    found = [*ordered(_Nested(state, tuple(names), nested), fold_numbers(state.measurement))]
     gained = [gain_of(pairs) for pairs in zip(*found, strict=True)]
     # one effect alone is all of them together
     return gained if len(names) > 1 else [*gained, *gained]
@@ -56,13 +53,12 @@ class _Nested:
 
     state: State
     names: tuple[IdentifiedEffect, ...]
-    rows: Index
     nested: bool
 
     def __call__(self, number: int) -> list[tuple[Held, Held]]:
         """Return the predictions of a fold without and with each effect, and all of them."""
         state = self.state
-        whole = Others.of(Fold(state.measurement, np.flatnonzero(self.rows == number)), state)
+        whole = Others.of_fold(state, number)
         # a candidate that the held-out readings have helped to choose would be judged by the readings that chose it
         chosen = {name.key: self._chosen(whole, name) for name in self.names}
 
@@ -111,15 +107,10 @@ def gain_of_parts(state: State, parts: Sequence[Fixed | Random]) -> Gain:
 
 def gain_between(before: State, after: State) -> Gain:
     """Return the gain of one state over another, at the sizes that each has."""
-    rows = folds_of(after.measurement)
-    pairs = []
-    for number in sorted({*rows.tolist()} - {-1}):
-        held = []
-        for one in (before, after):
-            fold = Fold(one.measurement, np.flatnonzero(rows == number))
-            held.append(Others.of(fold, one).predicted())
-        pairs.append((held[0], held[1]))
-    return gain_of(pairs)
+    both = (
+        [Others.of_fold(one, number).predicted() for number in fold_numbers(one.measurement)] for one in (before, after)
+    )
+    return gain_of([*zip(*both, strict=True)])
 
 
 def with_jackknife(state: State, effects: Sequence[IdentifiedEffect]) -> tuple[IdentifiedEffect, ...]:
@@ -175,11 +166,10 @@ def _collinear(state: State) -> set[Key]:
 
 def _factors(state: State) -> dict[Key, float]:
     """Return how many times the variance of the model each effect has over the units that are left out in turn."""
-    m, rows = state.measurement, folds_of(state.measurement)
     own = _estimates(state.fixed, state.fit)
     squares: dict[Key, list[tuple[float, float]]] = {key: [] for key in own}
-    for number in sorted({*rows.tolist()} - {-1}):
-        others = Others.of(Fold(m, np.flatnonzero(rows == number)), state)
+    for number in fold_numbers(state.measurement):
+        others = Others.of_fold(state, number)
         # an effect that only this unit shows has no size without it
         for key, (sizes, covariance) in _estimates(others.kept, others.fit).items():
             change, q, inverse = sizes - own[key][0], len(sizes), np.linalg.inv(own[key][1])

@@ -31,6 +31,14 @@ from metrocli.diagnosis.linear.projection import VISIBLE
 from metrocli.diagnosis.linear.quadratics import quadratic
 from metrocli.frozen import dataclass
 
+_MOST_HELD = 500_000
+"""Numbers of the products without a fold that are kept"""
+
+
+def fold_numbers(m: Measurement) -> list[int]:
+    """Return the numbers of the folds."""
+    return sorted({*folds_of(m).tolist()} - {-1})
+
 
 def folds_of(m: Measurement) -> Index:
     """Return the number of the fold of each row, (rows,): -1 for priors but those of a random effect of a member."""
@@ -154,6 +162,16 @@ class Others:
         fit = fit_at(every.keeping(kept, count), state.logs)
         return cls(fold, state, fixed, state.fit.keeping(shown, count), without, own, every.columns(kept, count), fit)
 
+    @classmethod
+    def of_fold(cls, state: State, number: int) -> Others:
+        """Return them for a fold by its number, computed once for a state of few columns."""
+        fold, key = Fold(state.measurement, np.flatnonzero(folds_of(state.measurement) == number)), ("others", number)
+        found = state.held.get(key) or cls.of(fold, state)
+        if found.without.shared.size + found.fit.lower.size < _MOST_HELD:
+            state.held[key] = found
+        # with a fold of its own: what it holds of candidates is not kept
+        return replace(found, fold=fold)
+
     def keeping(self, fixed: Iterable[Fixed]) -> Others:
         """Return them with some of the fixed parts."""
         ids = {id(part) for part in fixed}
@@ -179,11 +197,13 @@ class Others:
             if one.is_reading:
                 # a reading that is named wrong would be predicted badly by any model
                 spared[m.places[one.number][m.places[one.number] >= 0]] = True
-        absorbed, errors = self.without.left(self.fit, self.columns)
-        shares, variances = np.ones(len(rows)), 1 + absorbed
         if self.fold.whole:
-            # predicted but for the local unknowns, which only these rows show
-            shares, variances = 1 - (basis.local[rows] ** 2).sum(axis=1), shares
+            # predicted but for the local unknowns, and the errors of single members, which only these rows show
+            errors = self.without.shared[:, -1] - self.without.shared[:, self.columns] @ self.fit.sizes
+            shares, variances = 1 - (basis.local[rows] ** 2).sum(axis=1), np.ones(len(rows))
+        else:
+            absorbed, errors = self.without.left(self.fit, self.columns)
+            shares, variances = np.ones(len(rows)), 1 + absorbed
         scale, kept = np.where(m.system.alike, m.system.scale, np.nan)[rows], ~spared[rows]
         score = _log_marginal(self.whole, ranks) - others
         return Held(score, errors[kept], scale[kept], shares[kept], variances[kept])

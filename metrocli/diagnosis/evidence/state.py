@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cached_property
-from itertools import pairwise
 
 import numpy as np
 
@@ -16,7 +15,7 @@ from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index, Mask
 from metrocli.diagnosis.evidence.parts import LARGEST, READINGS, Fixed
 from metrocli.diagnosis.evidence.prices import FURTHER, OF_ALL, gain_of_columns
-from metrocli.diagnosis.evidence.products import NEVER_HELD, local_columns, local_part, shared_parts
+from metrocli.diagnosis.evidence.products import local_columns, local_part, products_of_members, shared_parts
 from metrocli.diagnosis.evidence.scored import Scored
 from metrocli.diagnosis.linear.basis import Basis, Columns, squared
 from metrocli.diagnosis.linear.quadratics import quadratic
@@ -104,22 +103,30 @@ class State(Scored):
         The products with each part are computed once for a name of the columns in a cache, the measurement's unless
         another is given.
         """
+        return self._solved(self._with_parts(name, columns, self.measurement.held if held is None else held))
+
+    def _with_parts(self, name: object, columns: Callable[[Array], Array], held: dict[object, Array]) -> Array:
+        """Return the products of what is shared with some columns, (p, ...)."""
+        new = [(key, x) for key, x in self._parts if ("within", name, key) not in held]
+        found = {key: held["within", name, key] for key, _ in self._parts if ("within", name, key) in held}
+        if new or not found:
+            every = columns(np.concatenate([np.zeros((self.measurement.system.rows, 0)), *(x for _, x in new)], axis=1))
+            ends = np.cumsum([x.shape[1] for _, x in new])
+            for (key, x), end in zip(new, ends, strict=True):
+                found[key] = every[end - x.shape[1] : end]
+                if found[key].size < _MOST_HELD:
+                    held["within", name, key] = found[key]
+            if not new:
+                return every
+        return np.concatenate([found[key] for key, _ in self._parts])
+
+    def _solved(self, along: Array) -> Array:
         from scipy.linalg import solve_triangular
 
-        if held is None:
-            held = self.measurement.held
-        found: list[Array] = []
-        for key, x in self._parts:
-            at = "within", name, key
-            along = held[at] if at in held else columns(x)
-            if key != NEVER_HELD and along.size < _MOST_HELD:
-                held[at] = along
-            found.append(along)
-        if not found:
-            return columns(np.zeros((self.measurement.system.rows, 0)))
-        every = np.concatenate(found)
-        flat = every.reshape(len(every), -1)
-        return np.asarray(solve_triangular(self.fit.lower, flat, lower=True, check_finite=False).reshape(every.shape))
+        if not len(along):
+            return along
+        flat = along.reshape(len(along), -1)
+        return np.asarray(solve_triangular(self.fit.lower, flat, lower=True, check_finite=False).reshape(along.shape))
 
     def absorbed(self, rows: Index | Mask | slice = slice(None)) -> Array:
         """Return the share of each reading that the state absorbs."""
@@ -186,9 +193,8 @@ class State(Scored):
             if taken is None:
                 gram = group.columns.grams(self.basis)
             else:
-                gram = (group.gram if self.members_are_free else m.whole_grams(family)) - taken @ np.swapaxes(
-                    taken, 1, 2
-                )
+                alone = group.gram if self.members_are_free else m.grams_beside_members(family)
+                gram = alone - taken @ np.swapaxes(taken, 1, 2)
             self.held[family] = gram, right
         found: tuple[Array, Array] = self.held[family]
         return found
@@ -202,30 +208,33 @@ class State(Scored):
     def _along(self) -> Array:
         """Coordinates of the small families in what the state takes, and last their products with the residual."""
         (every, _), held = self.measurement.side_by_side, self.measurement.held_of_families
-        free = self.members_are_free
-        taken = self.within("side by side", lambda x: (every.T @ x).T, held) if free else self._inside(every)
-        return np.concatenate([taken, (every.T @ self.residual)[None]])
+        return np.concatenate([self._inside("side by side", every, held), (every.T @ self.residual)[None]])
 
-    def _inside(self, columns: Columns) -> Array:
-        """Return coordinates c of columns (rows, k), (any, k): `columns' P columns` is `columns' columns - c' c`."""
-        (order, begins), basis = self.measurement.by_member, self.basis
-        parts = [basis.shared.T @ columns]
-        for rows in (order[a:b] for a, b in pairwise(begins)):
-            parts.append(basis.local[rows].T @ columns[rows])
-        return np.concatenate(parts)
+    def _inside(self, name: object, columns: Columns, held: dict[object, Array]) -> Array:
+        """Return coordinates c of columns (rows, k), (any, k): what the unknowns leave of their products is less c'c.
+
+        Those are the local unknowns alone where members have errors.
+        """
+
+        def products(x: Array) -> Array:
+            return np.asarray(columns.T @ x).T
+
+        if self.members_are_free:
+            return self.within(name, products, held)
+        p, scale = len(self.fit.lower), np.exp(self.logs[self.fit.products.of_local] / 2)
+        errors = (self.fit.half * scale) @ products_of_members(self.measurement, self.random, (name, columns), held)
+        flat = errors.reshape(-1, errors.shape[2])
+        taken = self.fit.shown[:, :, :p].reshape(-1, p).T @ flat
+        return np.concatenate([flat, self._solved(self._with_parts(name, products, held) - taken)])
 
     def gram(self, name: object, columns: Columns) -> Array:
         """Return `columns' P columns` of columns (rows, k); what does not depend on the state is computed once."""
-        held = self.measurement.held
-        if not self.members_are_free:
-            if ("whole", name) not in held:
-                held["whole", name] = squared(columns)
-            inside = self._inside(columns)
-            return np.asarray(held["whole", name] - inside.T @ inside)
-        if ("visible", name) not in held:
-            held["visible", name] = squared(columns) - self.measurement.system.basis.absorbed_of(columns)
-        inside = self.within(name, lambda x: (columns.T @ x).T)
-        return np.asarray(held["visible", name] - inside.T @ inside)
+        basis, held, key = self.measurement.system.basis, self.measurement.held, (self.members_are_free, name)
+        if key not in held:
+            alone = basis if self.members_are_free else basis.of_members
+            held[key] = squared(columns) - alone.absorbed_of(columns)
+        inside = self._inside(name, columns, held)
+        return np.asarray(held[key] - inside.T @ inside)
 
     def taken_by(self, part: Fixed) -> Array:
         """Return columns d, (rows, rank): without a fixed part the state would leave `P + d d'` of anything."""

@@ -11,10 +11,10 @@ from dataclasses import replace
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
-from metrocli.adjust.model.observations import Index, Mask
+from metrocli.adjust.model.observations import Mask
 from metrocli.diagnosis.adjusted_job import Ordered
 from metrocli.diagnosis.evidence.gain import Gain, Held, gain_of
-from metrocli.diagnosis.evidence.held_out import Fold, Others, folds_of
+from metrocli.diagnosis.evidence.held_out import Others, fold_numbers
 from metrocli.diagnosis.evidence.parts import Fixed
 from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.laws.library import Library, Term
@@ -137,9 +137,7 @@ def _bases(plain: State) -> Iterator[State]:
 
 def _gains(lawful: Lawful, base: State, ordered: Ordered) -> list[Gain]:
     """Return the held-out gain of the laws of 1, 2, ... terms; each fold has the laws that the others choose."""
-    rows = folds_of(base.measurement)
-    numbers = sorted({*rows.tolist()} - {-1})
-    pairs = [*ordered(_Folds(lawful, base, rows), numbers)]
+    pairs = [*ordered(_Folds(lawful), fold_numbers(base.measurement))]
     return [gain_of(one) for one in zip(*pairs, strict=True)]
 
 
@@ -148,14 +146,11 @@ class _Folds:
     """What is compared in each fold. It travels to other processors, so it has no more than that."""
 
     lawful: Lawful
-    base: State
-    rows: Index
-    """Fold of each row"""
 
     def __call__(self, number: int) -> list[tuple[Held, Held]]:
         """Return the predictions of a fold without and with laws of 1, 2, ... terms."""
         state, gone = self.lawful.state, {id(part) for _, part in self.lawful.steps}
-        every = Others.of(Fold(state.measurement, np.flatnonzero(self.rows == number)), state)
+        every = Others.of_fold(state, number)
         bare = state.keeping(part for part in state.fixed if id(part) not in gone)
         at, others = bare, every.keeping(bare.fixed)
         before, pairs = others.predicted(), list[tuple[Held, Held]]()
