@@ -18,7 +18,7 @@ import numpy as np
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index, Mask
 from metrocli.diagnosis.evidence.gain import Held
-from metrocli.diagnosis.evidence.likelihood import Fit, factored, fit_at
+from metrocli.diagnosis.evidence.likelihood import Fit, factored, fit_at, solved
 from metrocli.diagnosis.evidence.measurement import Measurement
 from metrocli.diagnosis.evidence.parts import Fixed
 from metrocli.diagnosis.evidence.prices import gain_of_columns
@@ -106,8 +106,6 @@ class Fold:
 
         Both are without what local unknowns and random parts of single members take.
         """
-        from scipy.linalg import solve_triangular
-
         if "apart" not in self._held:
             unit = np.zeros((len(self.mask), len(self.rows)))
             unit[self.rows, np.arange(len(self.rows))] = 1.0
@@ -117,7 +115,7 @@ class Fold:
         if ("apart", number) not in self._held:
             along = self.measurement.families[number].columns.products(own)
             flat = along.reshape(-1, len(self.rows)).T
-            half = solve_triangular(lower, flat, lower=True, overwrite_b=True, check_finite=False)
+            half = solved(lower, flat)
             self._held["apart", number] = half.T.reshape(along.shape)
         return lower, self._held["apart", number]
 
@@ -233,8 +231,6 @@ class Others:
 
         Products without whole members are those of all rows, each computed once, less those of the held-out rows.
         """
-        from scipy.linalg import solve_triangular
-
         m, rows, state = self.fold.measurement, self.fold.rows, self.state
         columns, raw = m.families[number].columns, m.families[number].raw
         key, held = ("gram", number, columns.count), state.held
@@ -248,10 +244,10 @@ class Others:
         else:
             lower, seen = self.fold.apart(number, state)
             gram = gram - seen @ np.swapaxes(seen, 1, 2)
-            along = along - seen @ solve_triangular(lower, own, lower=True, check_finite=False)
+            along = along - seen @ solved(lower, own)
         count, q, p = along.shape
         flat = along[:, :, :-1].reshape(count * q, p - 1)  # no shared unknowns where all tracers are known
-        half = solve_triangular(self.fit.lower, flat.T, lower=True, check_finite=False)
+        half = solved(self.fit.lower, flat.T)
         turned = half.T.reshape(count, q, p - 1)
         gram = gram - turned @ np.swapaxes(turned, 1, 2)
         # what only the held-out rows show is zero, not the rounding of a difference

@@ -128,11 +128,9 @@ class Fit:
     @cached_property
     def sizes(self) -> Array:
         """Estimated coefficients of the shared columns, (p,)."""
-        from scipy.linalg import solve_triangular
+        from scipy.linalg.lapack import dtrtrs
 
-        if not len(self.lower):
-            return self.sought
-        return np.asarray(solve_triangular(self.lower, self.sought, lower=True, trans="T", check_finite=False))
+        return np.asarray(dtrtrs(self.lower.T, self.sought)[0]) if len(self.lower) else self.sought
 
     def keeping(self, kept: Sequence[int], count: int) -> Fit:
         """Return the state without some of its `count` fixed parts, at the same sizes of the random components."""
@@ -143,7 +141,7 @@ class Fit:
         rest = self.lower[at[first:], first:]
         lower, sought = self.lower[np.ix_(at, at)], self.sought[at]
         lower[first:, first:] = factored(rest @ rest.T)
-        sought[first:] = _solved(lower[first:, first:], rest @ self.sought[first:])
+        sought[first:] = solved(lower[first:, first:], rest @ self.sought[first:])
         gone = float(self.sought[first:] @ self.sought[first:] - sought[first:] @ sought[first:])
         return replace(
             self,
@@ -184,7 +182,7 @@ class Fit:
         if len(products.own) and products.of_local.size:
             left, shared = np.swapaxes(self.half, 1, 2), self.shown[:, :, :-1]
             sizes = (left @ (self.shown[:, :, -1] - shared @ self.sizes)[:, :, None])[:, :, 0]
-            across = _solved(self.lower, shared.reshape(-1, shared.shape[2]).T).T.reshape(shared.shape)
+            across = solved(self.lower, shared.reshape(-1, shared.shape[2]).T).T.reshape(shared.shape)
             posterior = left @ (across @ np.swapaxes(across, 1, 2) + np.eye(shared.shape[1])) @ self.half
             for j, (a, b) in _stretches(products.of_local):
                 unsettled, count = posterior[:, a:b, a:b], len(posterior) * (b - a)
@@ -194,6 +192,8 @@ class Fit:
 
 def fit_at(products: Products, logs: Array) -> Fit:
     """Return a state at ln of the variances of its random components."""
+    from scipy.linalg.lapack import dtrtri
+
     gram, right, squares = products.gram, products.right, products.squares
     root = np.exp(np.asarray(logs) / 2)
     log_det, p = 0.0, len(right)
@@ -204,7 +204,7 @@ def fit_at(products: Products, logs: Array) -> Fit:
         own = products.own * (scale[:, None] * scale) + np.eye(len(scale))
         lower = np.linalg.cholesky(own)
         log_det += 2 * float(np.log(np.einsum("mkk->mk", lower)).sum())
-        half = np.linalg.inv(lower)
+        half = np.stack([dtrtri(one, lower=True)[0] for one in lower])
         shown = (half * scale) @ products.mixed
         flat = shown.reshape(-1, p + 1)
         taken = flat.T @ flat
@@ -220,7 +220,7 @@ def fit_at(products: Products, logs: Array) -> Fit:
     lower = factored(gram, priors)
     # fixed columns are not in this determinant: `likelihood` and the evidence treat them differently
     log_det += 2 * float(np.log(np.diag(lower)[: products.unknowns + len(at)]).sum())
-    sought = _solved(lower, right)
+    sought = solved(lower, right)
     return Fit(
         products,
         np.asarray(logs, dtype=float),
@@ -290,7 +290,12 @@ def _stretches(kinds: Index) -> list[tuple[int, tuple[int, int]]]:
     return [(int(kinds[a]), (a, b)) for a, b in pairwise(begins) if kinds[a] >= 0]
 
 
-def _solved(lower: Array, right: Array) -> Array:
-    from scipy.linalg import solve_triangular
+def solved(lower: Array, right: Array) -> Array:
+    """Return `lower^-1 right` of a triangular factor (p, p) and right sides (p, ...)."""
+    from scipy.linalg.lapack import dtrtrs
 
-    return np.asarray(solve_triangular(lower, right, lower=True, check_finite=False)) if len(lower) else right
+    if not right.size:
+        return right
+    # without the checks of `solve_triangular`, which take longer than most of these systems
+    found = dtrtrs(lower.T, right.reshape(len(right), -1), trans=True)[0]
+    return np.asarray(found.reshape(right.shape))

@@ -18,7 +18,7 @@ import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index
-from metrocli.diagnosis.evidence.likelihood import Fit, Products
+from metrocli.diagnosis.evidence.likelihood import Fit, Products, solved
 from metrocli.diagnosis.evidence.products import local_columns, shared_columns
 from metrocli.diagnosis.evidence.state import State
 from metrocli.frozen import dataclass
@@ -94,8 +94,6 @@ class Reweighted:
 
         Both are those of a row of weight 1.
         """
-        from scipy.linalg import solve_triangular
-
         x, residual, absorbed = self.shared[:, columns], self.shared[:, -1], self.absorbed
         if self.local.shape[1]:
             scaled = self.local * np.exp(fit.logs[fit.products.of_local] / 2)
@@ -103,9 +101,7 @@ class Reweighted:
             taken = np.einsum("rk,rkp->rp", errors, fit.shown[self.member])
             x, residual = x - taken[:, :-1], residual - taken[:, -1]
             absorbed = absorbed + np.einsum("rk,rk->r", errors, errors)
-        if not len(fit.lower):
-            return absorbed, residual
-        inside = solve_triangular(fit.lower, x.T, lower=True, check_finite=False)
+        inside = solved(fit.lower, x.T)
         return absorbed + np.einsum("pr,pr->r", inside, inside), residual - x @ fit.sizes
 
 

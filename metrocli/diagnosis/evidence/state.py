@@ -13,6 +13,7 @@ import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index, Mask
+from metrocli.diagnosis.evidence.likelihood import solved
 from metrocli.diagnosis.evidence.parts import LARGEST, READINGS, Fixed
 from metrocli.diagnosis.evidence.prices import FURTHER, OF_ALL, gain_of_columns
 from metrocli.diagnosis.evidence.products import local_columns, local_part, products_of_members, shared_parts
@@ -52,13 +53,9 @@ class State(Scored):
     @cached_property
     def entered(self) -> Array:
         """Columns v beside the unknowns: `P = M - v v'` is left; those of all that is shared beside members' errors."""
-        from scipy.linalg import solve_triangular
-
         m, x = self.measurement, np.concatenate([np.zeros((self.measurement.system.rows, 0)), *self._columns], axis=1)
         x = x if self.members_are_free else x - local_part(m, self._by_members, x)
-        if not x.shape[1]:
-            return x
-        return np.asarray(solve_triangular(self.fit.lower, x.T, lower=True, overwrite_b=True, check_finite=False).T)
+        return solved(self.fit.lower, x.T).T
 
     @cached_property
     def _parts(self) -> list[tuple[object, Array]]:
@@ -84,13 +81,14 @@ class State(Scored):
     @cached_property
     def residual(self) -> Array:
         """What the state leaves of the residual, `P r` (rows,)."""
-        left = self.measurement.system.residual
+        sizes, ends = self.fit.sizes, np.cumsum([column.shape[1] for column in self._columns])
+        taken = (x @ sizes[b - x.shape[1] : b] for x, b in zip(self._columns, ends, strict=True))
+        left = self.measurement.system.residual - sum(taken)
         if not self.members_are_free:
-            return self.seen(left)
-        ends = np.cumsum([column.shape[1] for column in self._columns])
-        return np.asarray(
-            left - sum(x @ self.fit.sizes[b - x.shape[1] : b] for x, b in zip(self._columns, ends, strict=True))
-        )
+            shown = self.fit.shown
+            errors = shown[:, :, -1] - shown[:, :, :-1] @ sizes
+            left -= np.einsum("rk,rk->r", self._by_members, errors[self.measurement.system.basis.member])
+        return np.asarray(left)
 
     @cached_property
     def members_are_free(self) -> bool:
@@ -103,7 +101,7 @@ class State(Scored):
         The products with each part are computed once for a name of the columns in a cache, the measurement's unless
         another is given.
         """
-        return self._solved(self._with_parts(name, columns, self.measurement.held if held is None else held))
+        return solved(self.fit.lower, self._with_parts(name, columns, self.measurement.held if held is None else held))
 
     def _with_parts(self, name: object, columns: Callable[[Array], Array], held: dict[object, Array]) -> Array:
         """Return the products of what is shared with some columns, (p, ...)."""
@@ -119,14 +117,6 @@ class State(Scored):
             if not new:
                 return every
         return np.concatenate([found[key] for key, _ in self._parts])
-
-    def _solved(self, along: Array) -> Array:
-        from scipy.linalg import solve_triangular
-
-        if not len(along):
-            return along
-        flat = along.reshape(len(along), -1)
-        return np.asarray(solve_triangular(self.fit.lower, flat, lower=True, check_finite=False).reshape(along.shape))
 
     def absorbed(self, rows: Index | Mask | slice = slice(None)) -> Array:
         """Return the share of each reading that the state absorbs."""
@@ -225,7 +215,7 @@ class State(Scored):
         errors = (self.fit.half * scale) @ products_of_members(self.measurement, self.random, (name, columns), held)
         flat = errors.reshape(-1, errors.shape[2])
         taken = self.fit.shown[:, :, :p].reshape(-1, p).T @ flat
-        return np.concatenate([flat, self._solved(self._with_parts(name, products, held) - taken)])
+        return np.concatenate([flat, solved(self.fit.lower, self._with_parts(name, products, held) - taken)])
 
     def gram(self, name: object, columns: Columns) -> Array:
         """Return `columns' P columns` of columns (rows, k); what does not depend on the state is computed once."""
@@ -238,8 +228,6 @@ class State(Scored):
 
     def taken_by(self, part: Fixed) -> Array:
         """Return columns d, (rows, rank): without a fixed part the state would leave `P + d d'` of anything."""
-        from scipy.linalg import solve_triangular
-
         ends = np.cumsum([0, *(each.rank for each in self.fixed)])
         j = next(j for j, each in enumerate(self.fixed) if each is part)
         at, lower = self.fit.fixed, self.fit.lower[self.fit.fixed :, self.fit.fixed :]
@@ -248,7 +236,7 @@ class State(Scored):
         covariance = inverse[:, own].T @ inverse[:, own]
         w = self.entered[:, self.entered.shape[1] - (len(self.fit.lower) - at) :] @ inverse[:, own]
         lower = np.linalg.cholesky(covariance)
-        return np.asarray(solve_triangular(lower, w.T, lower=True, check_finite=False).T)
+        return solved(lower, w.T).T
 
     def of_family(self, family: int, taken: Array | None = None) -> tuple[Array, Array]:
         """Return the squares that each alternative of a family explains, and its rank; without a part if it is given.
