@@ -219,6 +219,11 @@ class Others:
         parts += [*shared_parts(m, self.kept, state.random, not free), ("residual", m.system.residual[:, None])]
         return parts if free else [(key, _free(state, key, columns)) for key, columns in parts]
 
+    @cached_property
+    def _held_parts(self) -> Array:
+        """These columns at the held-out rows, (n, p + 1)."""
+        return np.concatenate([one[self.fold.rows] for _, one in self._parts], axis=1)
+
     def nets(self, number: int) -> Array:
         """Return the net gain of each alternative of a family; -inf where it explains nothing."""
         m = self.fold.measurement
@@ -231,20 +236,19 @@ class Others:
 
         Products without whole members are those of all rows, each computed once, less those of the held-out rows.
         """
-        m, rows, state = self.fold.measurement, self.fold.rows, self.state
+        m, state = self.fold.measurement, self.state
         columns, raw = m.families[number].columns, m.families[number].raw
         key, held = ("gram", number, columns.count), state.held
         if key not in held:
             held[key] = columns.grams(state.own)
         gram, along = held[key], self._along(number)
-        own = np.concatenate([one[rows] for _, one in self._parts], axis=1)
         if self.fold.whole:
             gram = gram - self.fold.grams(number, state.own)
-            along = along - self.fold.candidates(number).products(own)
+            along = along - self.fold.candidates(number).products(self._held_parts)
         else:
             lower, seen = self.fold.apart(number, state)
             gram = gram - seen @ np.swapaxes(seen, 1, 2)
-            along = along - seen @ solved(lower, own)
+            along = along - seen @ solved(lower, self._held_parts)
         count, q, p = along.shape
         flat = along[:, :, :-1].reshape(count * q, p - 1)  # no shared unknowns where all tracers are known
         half = solved(self.fit.lower, flat.T)

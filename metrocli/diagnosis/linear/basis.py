@@ -28,6 +28,8 @@ Columns: TypeAlias = "Array | csr_matrix"
 """Columns (rows, k), sparse where most of their numbers are zero"""
 _THIN = 0.05
 """Share of numbers that are not zero below which columns are kept as a sparse matrix"""
+_THICK = 0.15
+"""Share of numbers that are not zero above which a product of columns takes less time as of a table"""
 _FEW = 0.1
 """Share of the rows with a value below which these rows are gathered"""
 _LOOKED_AT = 1000
@@ -123,7 +125,9 @@ class Basis:
         gram = shared @ shared.T
         for rows in self._of_whole_members():
             local = columns[rows].T @ self.at(rows)._sparse
-            gram += (local @ local.T).toarray()
+            if local.nnz > _THICK * local.shape[0] * local.shape[1]:
+                local = local.toarray()
+            gram += squared(local.T)
         return np.asarray(gram)
 
     def _of_whole_members(self) -> Iterator[Index]:
