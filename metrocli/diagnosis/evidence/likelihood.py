@@ -233,14 +233,14 @@ def fit_at(products: Products, logs: Array) -> Fit:
     )
 
 
-def likeliest(products: Products, logs: Array, most: Array, steps: int = _STEPS) -> Fit:
-    """Return the state at the sizes of the largest likelihood, from some on; ln of a variance is `most` at most.
+def likeliest(fit: Fit, most: Array, steps: int = _STEPS) -> Fit:
+    """Return the state at the sizes of the largest likelihood, from those of a fit on; ln of each is `most` at most.
 
     Each step is Newton's for each size alone. One after which the likelihood is smaller is shortened. A quarter of
     `(found - expected)'step` is what the likelihood gains by a step of Newton.
     """
-    fit = fit_at(products, np.minimum(logs, most))
-    for _ in range(steps if len(logs) else 0):
+    products = fit.products
+    for _ in range(steps if len(most) else 0):
         found, expected, bend = fit.slopes
         # a step of at most e^2 in a variance: from nothing the bend is near 0, and Newton's step would leave the range
         step = np.clip((found - expected) / np.maximum(bend, 1e-9), -_FAR, _FAR)

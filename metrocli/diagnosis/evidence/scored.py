@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import field, replace
 from functools import cached_property
-from typing import Any, Self
+from typing import Any, Self, cast
 
 import numpy as np
 
@@ -90,8 +90,8 @@ class Scored:
         """Return a state, its sizes estimated from some on; `known` are the products of some of its parts."""
         products = products_of(measurement, fixed, random, known=known)
         most = np.array([part.most for part in random])
-        fit = likeliest(products, np.array(logs, dtype=float), most, steps)
-        return cls(measurement, tuple(fixed), tuple(random), fit)
+        fit = fit_at(products, np.minimum(np.array(logs, dtype=float), most))
+        return cls(measurement, tuple(fixed), tuple(random), likeliest(fit, most, steps))
 
     @property
     def logs(self) -> Array:
@@ -175,12 +175,24 @@ class Scored:
         )
 
     def minus(self, parts: Sequence[Fixed | Random], steps: int = TRIAL) -> Self:
-        """Return the state without some parts, all sizes estimated anew."""
+        """Return the state without some parts, all sizes estimated anew, computed once."""
         gone = {id(part) for part in parts}
-        kept = [j for j, one in enumerate(self.random) if id(one) not in gone]
-        fixed = [part for part in self.fixed if id(part) not in gone]
-        random = [self.random[j] for j in kept]
-        return type(self).of(self.measurement, fixed, random, self.logs[kept], steps, self.fit.products)
+        # the state holds its parts, so that their identities stay theirs
+        if (key := ("minus", frozenset(gone), steps)) not in self.held:
+            kept = [j for j, one in enumerate(self.random) if id(one) not in gone]
+            fixed = [part for part in self.fixed if id(part) not in gone]
+            random, known = [self.random[j] for j in kept], self.fit.products
+            self.held[key] = (
+                self.keeping(fixed).again(steps)
+                if len(kept) == len(self.random)
+                else type(self).of(self.measurement, fixed, random, self.logs[kept], steps, known)
+            )
+        # without what it may come to hold of candidates and rows
+        return replace(cast("Self", self.held[key]), held={})
+
+    def again(self, steps: int = 12) -> Self:
+        """Return the state with all sizes estimated anew from these on."""
+        return replace(self, fit=likeliest(self.fit, np.array([part.most for part in self.random]), steps), held={})
 
     def keeping(self, fixed: Iterable[Fixed]) -> Self:
         """Return the state with some of its fixed parts, at the same sizes of the random parts."""
@@ -214,7 +226,7 @@ class Scored:
 
     def settled(self) -> Self:
         """Return the state with all sizes estimated until they stay."""
-        return self.plus(steps=12) if self.random else self
+        return self.again() if self.random else self
 
 
 def remade(m: Measurement, part: Random) -> Random:

@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
-from metrocli.diagnosis.evidence.likelihood import Products, likeliest
+from metrocli.diagnosis.evidence.likelihood import Products, fit_at, likeliest
 from metrocli.diagnosis.evidence.measurement import Measurement
 from metrocli.diagnosis.evidence.parts import Knots
 from metrocli.diagnosis.evidence.prices import PRIOR
@@ -74,7 +74,7 @@ def tried_noise(
     scale = m.log_scale + float(np.log(own_factor).sum()) - other.log_det / 2
     own = replace(m, noise=_noise_after(m, ratios), log_scale=scale)
     most = np.array([part.most for part in state.random])
-    fit = likeliest(_with_declared(m, other.products), state.logs if logs is None else logs, most)
+    fit = likeliest(fit_at(_with_declared(m, other.products), state.logs if logs is None else logs), most)
     after = State(own, state.fixed, state.random, fit)
     absorbed, residual = other.left(fit)
     absorbed, residual = absorbed * own_factor**2, residual * own_factor
