@@ -64,9 +64,7 @@ class _Nested:
 
         def with_names(names: Iterable[IdentifiedEffect]) -> Held:
             own = [one for name in names if (one := chosen[name.key]) is not None]
-            new = [one for one in own if all(one is not part for part in state.fixed)]
-            at = Others.of(whole.fold, state.plus(new, steps=0)) if new else whole
-            return at.keeping((*own, *state.readings)).predicted()
+            return whole.with_fixed((*own, *state.readings)).predicted()
 
         every = with_names(self.names)
         pairs = []

@@ -7,11 +7,10 @@ Method: docs/algorithms/evidence.md.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import replace
+from collections.abc import Iterable, Sequence
+from dataclasses import field, replace
 from functools import cached_property
 from math import lgamma
-from typing import Any, cast
 
 import numpy as np
 
@@ -22,11 +21,8 @@ from metrocli.diagnosis.evidence.likelihood import Fit, factored, fit_at, solved
 from metrocli.diagnosis.evidence.measurement import Measurement
 from metrocli.diagnosis.evidence.parts import Fixed
 from metrocli.diagnosis.evidence.prices import gain_of_columns
-from metrocli.diagnosis.evidence.products import shared_parts
 from metrocli.diagnosis.evidence.reweighted import Reweighted
 from metrocli.diagnosis.evidence.state import State
-from metrocli.diagnosis.linear.basis import Basis
-from metrocli.diagnosis.linear.columns import CandidateColumns
 from metrocli.diagnosis.linear.projection import VISIBLE
 from metrocli.diagnosis.linear.quadratics import quadratic
 from metrocli.frozen import dataclass
@@ -81,44 +77,6 @@ class Fold:
         mask[self.rows] = True
         return mask
 
-    @cached_property
-    def _held(self) -> dict[object, Any]:
-        """Cache of what the held-out rows show of candidates."""
-        return {}
-
-    def candidates(self, number: int) -> CandidateColumns:
-        """Return the columns of a family at the held-out rows, which are numbered anew."""
-        if number not in self._held:
-            self._held[number] = self.measurement.families[number].columns.of_rows(self.mask)
-        return cast("CandidateColumns", self._held[number])
-
-    def grams(self, number: int, basis: Basis) -> Array:
-        """Return the Gram matrices of a family's alternatives at the held-out rows, without what local columns take."""
-        key, here = (number, basis.local.shape[1]), ("basis", basis.local.shape[1])
-        if here not in self._held:
-            self._held[here] = basis.at(self.rows)
-        if key not in self._held:
-            self._held[key] = self.candidates(number).grams(self._held[here])
-        return np.asarray(self._held[key])
-
-    def apart(self, number: int, state: State) -> tuple[Array, Array]:
-        """Return the factor of what a state leaves of the held-out rows, and what a family shows of these.
-
-        Both are without what local unknowns and random parts of single members take.
-        """
-        if "apart" not in self._held:
-            unit = np.zeros((len(self.mask), len(self.rows)))
-            unit[self.rows, np.arange(len(self.rows))] = 1.0
-            own = unit - state.own.combined(state.own.coordinates(unit))
-            self._held["apart"] = own, factored(own[self.rows])
-        own, lower = self._held["apart"]
-        if ("apart", number) not in self._held:
-            along = self.measurement.families[number].columns.products(own)
-            flat = along.reshape(-1, len(self.rows)).T
-            half = solved(lower, flat)
-            self._held["apart", number] = half.T.reshape(along.shape)
-        return lower, self._held["apart", number]
-
     def shown(self, part: Fixed) -> bool:
         """Return whether other readings than those held out show a part: not the effect of a held-out image."""
         return part.is_reading or bool(part.columns[~self.mask].any())
@@ -147,6 +105,8 @@ class Others:
     """The columns of the products that are kept"""
     fit: Fit
     """Of the readings that are not held out"""
+    held: dict[object, tuple[Array, Array]] = field(default_factory=dict, compare=False, repr=False)
+    """Cache of products with candidates"""
 
     @classmethod
     def of(cls, fold: Fold, state: State) -> Others:
@@ -167,8 +127,14 @@ class Others:
         found = state.held.get(key) or cls.of(fold, state)
         if found.without.shared.size + found.fit.lower.size < _MOST_HELD:
             state.held[key] = found
-        # with a fold of its own: what it holds of candidates is not kept
-        return replace(found, fold=fold)
+        # with a cache of its own: what it holds of candidates is not kept
+        return replace(found, held={})
+
+    def with_fixed(self, fixed: Sequence[Fixed]) -> Others:
+        """Return them with fixed parts, of which some may not be in the state."""
+        new = [part for part in fixed if all(part is not own for own in self.state.fixed)]
+        every = Others.of(self.fold, self.state.plus(new, steps=0)) if new else self
+        return every.keeping(fixed)
 
     def keeping(self, fixed: Iterable[Fixed]) -> Others:
         """Return them with some of the fixed parts."""
@@ -210,20 +176,6 @@ class Others:
     def _ranks(self) -> int:
         return sum(part.rank for part in self.kept)
 
-    @cached_property
-    def _parts(self) -> list[tuple[object, Array]]:
-        """Shared columns of all rows with their keys, and last the residual, free of what single members have."""
-        state, m = self.state, self.state.measurement
-        free = state.members_are_free
-        parts = [("unknowns", m.system.basis.shared)] if free else []
-        parts += [*shared_parts(m, self.kept, state.random, not free), ("residual", m.system.residual[:, None])]
-        return parts if free else [(key, _free(state, key, columns)) for key, columns in parts]
-
-    @cached_property
-    def _held_parts(self) -> Array:
-        """These columns at the held-out rows, (n, p + 1)."""
-        return np.concatenate([one[self.fold.rows] for _, one in self._parts], axis=1)
-
     def nets(self, number: int) -> Array:
         """Return the net gain of each alternative of a family; -inf where it explains nothing."""
         m = self.fold.measurement
@@ -232,42 +184,44 @@ class Others:
         return np.where(gain > 0, gain - m.prices.of_ranks(number, q), -np.inf)
 
     def left(self, number: int) -> tuple[Array, Array]:
-        """Return the Gram matrices of a family's alternatives, and their products with the residual.
-
-        Products without whole members are those of all rows, each computed once, less those of the held-out rows.
-        """
-        m, state = self.fold.measurement, self.state
-        columns, raw = m.families[number].columns, m.families[number].raw
-        key, held = ("gram", number, columns.count), state.held
-        if key not in held:
-            held[key] = columns.grams(state.own)
-        gram, along = held[key], self._along(number)
-        if self.fold.whole:
-            gram = gram - self.fold.grams(number, state.own)
-            along = along - self.fold.candidates(number).products(self._held_parts)
+        """Return the Gram matrices of a family's alternatives, and their products with the residual."""
+        if number in self.held:
+            gram, along = self.held[number]
         else:
-            lower, seen = self.fold.apart(number, state)
-            gram = gram - seen @ np.swapaxes(seen, 1, 2)
-            along = along - seen @ solved(lower, self._held_parts)
-        count, q, p = along.shape
-        flat = along[:, :, :-1].reshape(count * q, p - 1)  # no shared unknowns where all tracers are known
-        half = solved(self.fit.lower, flat.T)
-        turned = half.T.reshape(count, q, p - 1)
+            gram, along = self._beside_members(number)
+            if along.size < _MOST_HELD:
+                self.held[number] = gram, along
+        count, q, _ = along.shape
+        flat = along[:, :, self.columns].reshape(count * q, len(self.columns))
+        turned = solved(self.fit.lower, flat.T).T.reshape(count, q, len(self.columns))
         gram = gram - turned @ np.swapaxes(turned, 1, 2)
         # what only the held-out rows show is zero, not the rounding of a difference
-        shown = np.einsum("kqq->kq", gram) > (VISIBLE * raw) ** 2
+        shown = np.einsum("kqq->kq", gram) > (VISIBLE * self.state.measurement.families[number].raw) ** 2
         return gram * shown[:, :, None] * shown[:, None, :], (along[:, :, -1] - turned @ self.fit.sought) * shown
 
-    def _along(self, number: int) -> Array:
-        """Return the products of a family with the shared columns of all rows, (alternatives, parameters, p + 1)."""
-        columns, held = self.fold.measurement.families[number].columns, self.state.held
-        new = [(key, one) for key, one in self._parts if ("along", number, key) not in held]
-        if new:
-            ends = np.cumsum([one.shape[1] for _, one in new])[:-1]
-            every = columns.products(np.concatenate([one for _, one in new], axis=1))
-            for (key, _), own in zip(new, np.split(every, ends, axis=2), strict=True):
-                held["along", number, key] = own
-        return np.concatenate([held["along", number, key] for key, _ in self._parts], axis=2)
+    def _beside_members(self, number: int) -> tuple[Array, Array]:
+        """Return the Gram matrices of a family, and products with all shared columns and the residual, (..., p + 1).
+
+        They are without what the single members have. Those without whole members are those of all rows, each computed
+        once, less those of the held-out rows.
+        """
+        state, rows, columns = self.state, self.fold.rows, self.fold.measurement.families[number].columns
+        every, key, held = _beside_members(state), ("beside members", number, columns.count), state.held
+        if key not in held:
+            held[key] = columns.grams(state.own), columns.products(every)
+        gram, along = held[key]
+        if self.fold.whole:
+            own = columns.of_rows(self.fold.mask)
+            return gram - own.grams(state.own.at(rows)), along - own.products(every[rows])
+        if "unit" not in self.held:
+            unit = np.zeros((len(every), len(rows)))
+            unit[rows, np.arange(len(rows))] = 1.0
+            unit -= state.own.combined(state.own.coordinates(unit))
+            self.held["unit"] = unit, factored(unit[rows])
+        unit, lower = self.held["unit"]
+        shown = columns.products(unit)
+        shown = solved(lower, shown.reshape(-1, len(rows)).T).T.reshape(shown.shape)
+        return gram - shown @ np.swapaxes(shown, 1, 2), along - shown @ solved(lower, every[rows])
 
 
 def _log_marginal(fit: Fit, ranks: float) -> float:
@@ -279,8 +233,12 @@ def _log_marginal(fit: Fit, ranks: float) -> float:
     return lgamma(dof / 2) - dof / 2 * float(np.log(np.pi * fit.squares)) - log_det / 2
 
 
-def _free(state: State, key: object, columns: Array) -> Array:
-    """Return columns without what the random parts of single members take, computed once for a state."""
-    if ("free", key) not in state.held:
-        state.held["free", key] = columns - state.own.combined(state.own.coordinates(columns))
-    return np.asarray(state.held["free", key])
+def _beside_members(state: State) -> Array:
+    """Return all shared columns of a state, and last the residual, free of what single members have, (rows, p + 1)."""
+    if "beside members" not in state.held:
+        m = state.measurement
+        unknowns = [m.system.basis.shared] if state.members_are_free else []
+        every = np.concatenate([*unknowns, *(one for _, one in state.parts), m.system.residual[:, None]], axis=1)
+        own = state.own
+        state.held["beside members"] = every if state.members_are_free else every - own.combined(own.coordinates(every))
+    return np.asarray(state.held["beside members"])

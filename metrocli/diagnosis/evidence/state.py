@@ -58,13 +58,13 @@ class State(Scored):
         return solved(self.fit.lower, x.T).T
 
     @cached_property
-    def _parts(self) -> list[tuple[object, Array]]:
+    def parts(self) -> list[tuple[object, Array]]:
         """What is shared and entered, with its keys, free of the unknowns unless members have errors."""
         return shared_parts(self.measurement, self.fixed, self.random, not self.members_are_free)
 
     @property
     def _columns(self) -> list[Array]:
-        return [one for _, one in self._parts]
+        return [one for _, one in self.parts]
 
     @cached_property
     def basis(self) -> Basis:
@@ -105,8 +105,8 @@ class State(Scored):
 
     def _with_parts(self, name: object, columns: Callable[[Array], Array], held: dict[object, Array]) -> Array:
         """Return the products of what is shared with some columns, (p, ...)."""
-        new = [(key, x) for key, x in self._parts if ("within", name, key) not in held]
-        found = {key: held["within", name, key] for key, _ in self._parts if ("within", name, key) in held}
+        new = [(key, x) for key, x in self.parts if ("within", name, key) not in held]
+        found = {key: held["within", name, key] for key, _ in self.parts if ("within", name, key) in held}
         if new or not found:
             every = columns(np.concatenate([np.zeros((self.measurement.system.rows, 0)), *(x for _, x in new)], axis=1))
             ends = np.cumsum([x.shape[1] for _, x in new])
@@ -116,7 +116,7 @@ class State(Scored):
                     held["within", name, key] = found[key]
             if not new:
                 return every
-        return np.concatenate([found[key] for key, _ in self._parts])
+        return np.concatenate([found[key] for key, _ in self.parts])
 
     def absorbed(self, rows: Index | Mask | slice = slice(None)) -> Array:
         """Return the share of each reading that the state absorbs."""

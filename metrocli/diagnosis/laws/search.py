@@ -151,15 +151,15 @@ class _Folds:
         """Return the predictions of a fold without and with laws of 1, 2, ... terms."""
         state, gone = self.lawful.state, {id(part) for _, part in self.lawful.steps}
         every = Others.of_fold(state, number)
-        bare = state.keeping(part for part in state.fixed if id(part) not in gone)
-        at, others = bare, every.keeping(bare.fixed)
+        fixed = [part for part in state.fixed if id(part) not in gone]
+        others, bare = every.keeping(fixed), len(fixed)
         before, pairs = others.predicted(), list[tuple[Held, Held]]()
         for count in range(len(self.lawful.steps)):
             # once no term enters in a fold, no further one does there
-            if len(at.fixed) == len(bare.fixed) + count and (one := self._chosen(others, count)) is not None:
-                at = at.plus([one], steps=0)
-                others = Others.of(every.fold, at)
-            pairs.append((before, others.predicted() if len(at.fixed) > len(bare.fixed) else before))
+            if len(fixed) == bare + count and (one := self._chosen(others, count)) is not None:
+                fixed.append(one)
+                others = every.with_fixed(fixed)
+            pairs.append((before, others.predicted() if len(fixed) > bare else before))
         return pairs
 
     def _chosen(self, others: Others, count: int) -> Fixed | None:
