@@ -17,14 +17,14 @@ import numpy as np
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index, Mask
 from metrocli.diagnosis.evidence.gain import Held
-from metrocli.diagnosis.evidence.likelihood import Fit, factored, fit_at, solved
+from metrocli.diagnosis.evidence.likelihood import Fit, fit_at
 from metrocli.diagnosis.evidence.measurement import Measurement
 from metrocli.diagnosis.evidence.parts import Fixed
 from metrocli.diagnosis.evidence.prices import gain_of_columns
 from metrocli.diagnosis.evidence.reweighted import Reweighted
 from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.linear.projection import VISIBLE
-from metrocli.diagnosis.linear.quadratics import quadratic
+from metrocli.diagnosis.linear.quadratics import factored, quadratic, solved
 from metrocli.frozen import dataclass
 
 _MOST_HELD = 500_000

@@ -16,6 +16,7 @@ import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index
+from metrocli.diagnosis.linear.quadratics import factored, solved
 from metrocli.frozen import dataclass
 
 _STEPS, _FAR, _STILL = 12, 2.0, 0.01
@@ -76,10 +77,10 @@ class Products:
         parts = (*self.parts[:first], *(self.parts[first + j] for j in kept), *self.parts[first + count :])
         return replace(
             self,
-            gram=self.gram[np.ix_(at, at)],
+            gram=_among(self.gram, at, self.fixed),
             right=self.right[at],
             of_shared=self.of_shared[at],
-            mixed=self.mixed[:, :, [*at, -1]],
+            mixed=self.mixed[:, :, np.append(at, -1)],
             parts=parts,
         )
 
@@ -139,7 +140,7 @@ class Fit:
             return self
         # fixed columns are the last: without some of them the factor of all before stays as it is
         rest = self.lower[at[first:], first:]
-        lower, sought = self.lower[np.ix_(at, at)], self.sought[at]
+        lower, sought = _among(self.lower, at, first), self.sought[at]
         lower[first:, first:] = factored(rest @ rest.T)
         sought[first:] = solved(lower[first:, first:], rest @ self.sought[first:])
         gone = float(self.sought[first:] @ self.sought[first:] - sought[first:] @ sought[first:])
@@ -149,7 +150,7 @@ class Fit:
             lower=lower,
             sought=sought,
             squares=self.squares + gone,
-            shown=self.shown[:, :, [*at, -1]],
+            shown=self.shown[:, :, np.append(at, -1)],
         )
 
     @cached_property
@@ -265,37 +266,16 @@ def likeliest(fit: Fit, most: Array, steps: int = _STEPS) -> Fit:
     return fit
 
 
-def factored(gram: Array, priors: Array | float = 0.0) -> Array:
-    """Return the factor of a Gram matrix with priors on its diagonal; a column of those before it is nearly free."""
-    from scipy.linalg.lapack import dpotrf
-
-    if not len(gram):
-        return gram
-    diagonal = np.maximum(np.diag(gram) + priors, 1e-300)
-    # columns of two parts can be nearly the same: the least bump with which the factor exists changes the others least
-    bump = 1e-13
-    while bump < 1e-1:
-        factor = gram.copy()
-        factor.ravel()[:: len(gram) + 1] = diagonal * (1 + bump)
-        upper, failed = dpotrf(factor.T, overwrite_a=True)
-        if not failed:
-            return np.asarray(upper.T)
-        bump *= 100
-    raise np.linalg.LinAlgError("the products of the columns of a state have no factor")
+def _among(matrix: Array, at: Index, first: int) -> Array:
+    """Return a matrix at some rows and columns, of which the first ones are all."""
+    found = np.empty((len(at), len(at)))
+    # stretches are copied several times faster than numbers one by one
+    found[:first, :first], found[:first, first:] = matrix[:first, :first], matrix[:first, at[first:]]
+    found[first:] = matrix[np.ix_(at[first:], at)]
+    return found
 
 
 def _stretches(kinds: Index) -> list[tuple[int, tuple[int, int]]]:
     """Return each random component with the stretch of its columns, by the component of each column, -1 for none."""
     begins = [0, *(np.flatnonzero(np.diff(kinds)) + 1).tolist(), len(kinds)]
     return [(int(kinds[a]), (a, b)) for a, b in pairwise(begins) if kinds[a] >= 0]
-
-
-def solved(lower: Array, right: Array) -> Array:
-    """Return `lower^-1 right` of a triangular factor (p, p) and right sides (p, ...)."""
-    from scipy.linalg.lapack import dtrtrs
-
-    if not right.size:
-        return right
-    # without the checks of `solve_triangular`, which take longer than most of these systems
-    found = dtrtrs(lower.T, right.reshape(len(right), -1), trans=True)[0]
-    return np.asarray(found.reshape(right.shape))

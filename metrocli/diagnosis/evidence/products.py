@@ -18,17 +18,6 @@ from metrocli.diagnosis.evidence.parts import Fixed, Random
 from metrocli.diagnosis.linear.basis import Columns
 
 
-def local_part(m: Measurement, own: Array, x: Array) -> Array:
-    """Return `E E' x` of columns E of single members."""
-    order, begins = m.by_member
-    absorbed = np.zeros(x.shape)
-    # member by member: one product for all would be as large as the table of all pairs of rows
-    for a, b in pairwise(begins):
-        rows = order[a:b]
-        absorbed[rows] = own[rows] @ (own[rows].T @ x[rows])
-    return absorbed
-
-
 def within(m: Measurement, columns: Array) -> Array:
     """Return columns (rows, k) without what the local unknowns absorb."""
     basis = m.system.basis.of_members

@@ -18,9 +18,10 @@ import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index
-from metrocli.diagnosis.evidence.likelihood import Fit, Products, solved
+from metrocli.diagnosis.evidence.likelihood import Fit, Products
 from metrocli.diagnosis.evidence.products import local_columns, shared_columns
 from metrocli.diagnosis.evidence.state import State
+from metrocli.diagnosis.linear.quadratics import solved
 from metrocli.frozen import dataclass
 
 _SHOWN = 1e-9
@@ -96,11 +97,14 @@ class Reweighted:
         """
         x, residual, absorbed = self.shared[:, columns], self.shared[:, -1], self.absorbed
         if self.local.shape[1]:
-            scaled = self.local * np.exp(fit.logs[fit.products.of_local] / 2)
-            errors = np.einsum("rk,rjk->rj", scaled, fit.half[self.member])
-            taken = np.einsum("rk,rkp->rp", errors, fit.shown[self.member])
-            x, residual = x - taken[:, :-1], residual - taken[:, -1]
-            absorbed = absorbed + np.einsum("rk,rk->r", errors, errors)
+            scaled, x = self.local * np.exp(fit.logs[fit.products.of_local] / 2), np.array(x)
+            residual, absorbed = residual.copy(), absorbed.copy()
+            for member in np.unique(self.member[self.member >= 0]).tolist():
+                rows, shown = self.member == member, fit.shown[member]
+                errors = scaled[rows] @ fit.half[member].T
+                x[rows] -= errors @ shown[:, :-1]
+                residual[rows] -= errors @ shown[:, -1]
+                absorbed[rows] += (errors**2).sum(axis=1)
         inside = solved(fit.lower, x.T)
         return absorbed + np.einsum("pr,pr->r", inside, inside), residual - x @ fit.sizes
 

@@ -13,11 +13,12 @@ from typing import Any, Self, cast
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
-from metrocli.diagnosis.evidence.likelihood import Fit, Products, fit_at, likeliest, solved
+from metrocli.diagnosis.evidence.likelihood import Fit, Products, fit_at, likeliest
 from metrocli.diagnosis.evidence.measurement import LENGTHS, Measurement
 from metrocli.diagnosis.evidence.parts import EFFECT, READINGS, SCATTER, UNKNOWN, Fixed, Random
 from metrocli.diagnosis.evidence.prices import FURTHER, PRIOR, gain_of_columns
 from metrocli.diagnosis.evidence.products import products_of
+from metrocli.diagnosis.linear.quadratics import solved
 from metrocli.frozen import dataclass
 
 
@@ -53,7 +54,7 @@ def _in_turn(gram: Array, right: Array, ranks: Sequence[int], squares: float, do
     scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
     unit = gram / scale / scale[:, None]
     # the bump lets a column that depends on others pass; its diagonal shows below that it did
-    lower = np.linalg.cholesky(unit + 1e-12 * np.eye(len(unit)))
+    lower = np.asarray(np.linalg.cholesky(unit + 1e-12 * np.eye(len(unit))), dtype=float)
     explained = solved(lower, right / scale) ** 2
     # a column that depends on those before it explains nothing
     explained = np.where(np.diag(lower) > 1e-5, explained, 0.0)

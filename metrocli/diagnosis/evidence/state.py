@@ -8,18 +8,18 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index, Mask
-from metrocli.diagnosis.evidence.likelihood import solved
 from metrocli.diagnosis.evidence.parts import LARGEST, READINGS, Fixed
 from metrocli.diagnosis.evidence.prices import FURTHER, OF_ALL, gain_of_columns
-from metrocli.diagnosis.evidence.products import local_columns, local_part, products_of_members, shared_parts
+from metrocli.diagnosis.evidence.products import local_columns, products_of_members, shared_parts
 from metrocli.diagnosis.evidence.scored import Scored
-from metrocli.diagnosis.linear.basis import Basis, Columns, squared
-from metrocli.diagnosis.linear.quadratics import quadratic
+from metrocli.diagnosis.linear.basis import Basis, Columns, squared, without_gathering
+from metrocli.diagnosis.linear.quadratics import quadratic, solved
 from metrocli.frozen import dataclass
 
 _MOST_HELD = 2_000_000
@@ -54,7 +54,11 @@ class State(Scored):
     def entered(self) -> Array:
         """Columns v beside the unknowns: `P = M - v v'` is left; those of all that is shared beside members' errors."""
         m, x = self.measurement, np.concatenate([np.zeros((self.measurement.system.rows, 0)), *self._columns], axis=1)
-        x = x if self.members_are_free else x - local_part(m, self._by_members, x)
+        if not self.members_are_free:
+            errors, (order, begins) = self._by_members, m.by_member
+            for shown, some in zip(self.fit.shown, (order[a:b] for a, b in pairwise(begins)), strict=True):
+                rows = without_gathering(some)
+                x[rows] -= errors[rows] @ shown[:, :-1]
         return solved(self.fit.lower, x.T).T
 
     @cached_property

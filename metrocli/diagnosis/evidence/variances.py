@@ -16,7 +16,7 @@ from metrocli.adjust.model.observations import Mask
 from metrocli.diagnosis.evidence.measurement import LENGTHS, Measurement
 from metrocli.diagnosis.evidence.parts import CORRELATED, LARGEST, SCATTER, Random
 from metrocli.diagnosis.evidence.state import State
-from metrocli.diagnosis.linear.basis import thin
+from metrocli.diagnosis.linear.basis import thin, without_gathering
 from metrocli.diagnosis.noise import DECLARED_SIGMA
 from metrocli.frozen import dataclass
 
@@ -128,10 +128,11 @@ def _of_units(state: State, number: int) -> tuple[Array, Array]:
     right = np.zeros((own.functions.count, size))
     order, begins = m.by_member
     for a, b in pairwise(begins):
-        rows = order[a:b]
-        rows = rows[own.component[rows] >= 0]
-        if len(rows):
-            c, unit = columns[rows], own.unit[rows[0]]
+        some = order[a:b]
+        some = some[own.component[some] >= 0]
+        if len(some):
+            rows = without_gathering(some)
+            c, unit = columns[rows], own.unit[some[0]]
             inside = state.entered[rows].T @ c
             taken[unit] += inside.T @ inside
             right[unit] += c.T @ state.residual[rows]
