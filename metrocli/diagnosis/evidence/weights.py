@@ -39,7 +39,7 @@ def with_noise(measurement: Measurement, ratios: Mapping[int, float]) -> Measure
         own,
         families=_families(measurement, weighted, factor),
         scatters=tuple(tuple(_weighted(one, weighted, factor) for one in own) for own in measurement.scatters),
-        knots=tuple(_knots(knot, weighted, factor) for knot in measurement.knots),
+        knots=tuple(_knots(knot, factor) for knot in measurement.knots),
     )
 
 
@@ -153,14 +153,9 @@ def _weighted(family: CandidateGroup, system: Linearised, factor: Array) -> Cand
     return replace(family, columns=columns, raw=columns.norms(), gram=columns.grams(system.basis))
 
 
-def _knots(knots: Knots, system: Linearised, factor: Array) -> Knots:
+def _knots(knots: Knots, factor: Array) -> Knots:
     from scipy.sparse import diags
 
-    functions = knots.functions
-    columns = (diags(factor) @ functions.columns).tocsr()
-    gram = (columns.T @ columns).toarray() - system.basis.gram_of(columns)
-    return replace(
-        knots,
-        functions=replace(functions, columns=columns, gram=gram),
-        values=knots.values * factor[:, None],
-    )
+    columns = (diags(factor) @ knots.functions.columns).tocsr()
+    functions = replace(knots.functions, columns=columns)
+    return replace(knots, functions=functions, values=knots.values * factor[:, None])
