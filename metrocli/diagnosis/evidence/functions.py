@@ -86,7 +86,7 @@ def _basis(job: AdjustedJob, system: Linearised, covariate: Covariate, by: str) 
     ends = np.arange(0, terms.size + 1, each, dtype=np.int32)
     # built from its arrays: each row has the same number of entries, so that nothing has to be sorted or counted
     columns = csr_matrix((terms.ravel(), numbers.ravel(), ends), shape=(system.rows, copies * count))
-    sigmas = {unit: _typical(job, unit) for unit in of_copies}
+    sigmas = {unit: _typical(job, unit) for unit in dict.fromkeys(of_copies)}
     return Functions(covariate.name, by, distances, tuple(of_copies), units, sigmas, columns)
 
 
