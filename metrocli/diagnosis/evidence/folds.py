@@ -14,15 +14,14 @@ from typing import cast
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
-from metrocli.adjust.model.observations import Index, Mask
+from metrocli.adjust.model.observations import Mask
 from metrocli.diagnosis.adjusted_job import Ordered
 from metrocli.diagnosis.evidence.gain import Gain, Held, gain_of
-from metrocli.diagnosis.evidence.held_out import Fold, Model, Train, folds_of
+from metrocli.diagnosis.evidence.held_out import Others, fold_numbers
 from metrocli.diagnosis.evidence.identified import IdentifiedEffect, all_identified
-from metrocli.diagnosis.evidence.likelihood import Fit, fit_at
+from metrocli.diagnosis.evidence.likelihood import Fit
 from metrocli.diagnosis.evidence.parts import EFFECT, Fixed, Random
 from metrocli.diagnosis.evidence.prices import FURTHER, OF_ALL
-from metrocli.diagnosis.evidence.products import products_of
 from metrocli.diagnosis.evidence.state import State
 from metrocli.frozen import dataclass
 
@@ -49,9 +48,7 @@ def gains(state: State, names: Sequence[IdentifiedEffect], ordered: Ordered = ma
     chosen (docs/decisions/270-effects-predict-with-their-probability.md). What is not `nested` has all effects in each
     fold, which takes a third of the time and flatters a little.
     """
-    rows = folds_of(state.measurement)
-    numbers = sorted({*rows.tolist()} - {-1})
-    found = [*ordered(_Nested(state, tuple(names), rows, nested), numbers)]
+    found = [*ordered(_Nested(state, tuple(names), nested), fold_numbers(state.measurement))]
     gained = [gain_of(pairs) for pairs in zip(*found, strict=True)]
     # one effect alone is all of them together
     return gained if len(names) > 1 else [*gained, *gained]
@@ -63,21 +60,18 @@ class _Nested:
 
     state: State
     names: tuple[IdentifiedEffect, ...]
-    rows: Index
     nested: bool
 
     def __call__(self, number: int) -> list[tuple[Held, Held]]:
         """Return the predictions of a fold without and with each effect, and all of them."""
         state = self.state
-        m = state.measurement
-        fold = Fold(m, np.flatnonzero(self.rows == number))
-        model = Model(state.fixed, state.random, state.logs)
+        whole = Others.of_fold(state, number)
         # a candidate that the held-out readings have helped to choose would be judged by the readings that chose it
-        chosen = {name.key: one for name in self.names if (one := self._chosen(fold, model, name)) is not None}
+        chosen = {name.key: one for name in self.names if (one := self._chosen(whole, name)) is not None}
         likely = {key: part for key, (part, weight) in chosen.items() if weight >= 0.5}
 
         def with_parts(parts: Mapping[Key, Fixed]) -> Held:
-            return fold.predicted(model.with_fixed((*parts.values(), *state.readings)))
+            return whole.with_fixed((*parts.values(), *state.readings)).predicted()
 
         every = with_parts(likely)
         pairs = []
@@ -111,28 +105,27 @@ class _Nested:
             for key, own in spots.items()
         }
 
-    def _chosen(self, fold: Fold, model: Model, name: IdentifiedEffect) -> tuple[Fixed, float] | None:
+    def _chosen(self, whole: Others, name: IdentifiedEffect) -> tuple[Fixed, float] | None:
         """Return the effect, or its rival, that the other readings favour, and its probability; None if it is nearly 0.
 
         It is `e^a/(1 + e^a + e^b)`, a the net gain of the effect or its best rival and b that of the best other cause.
         """
-        m = self.state.measurement
+        m, parts = self.state.measurement, self.state.fixed
         if not self.nested:
-            return next(part for part in model.fixed if part.key == name.key), 1.0
-        others = model.with_fixed(part for part in model.fixed if part.key != name.key)
-        train, owns = Train.of(fold, others, self.state), self._owns[name.key]
+            return next(part for part in parts if part.key == name.key), 1.0
+        others, owns = whole.keeping(part for part in parts if part.key != name.key), self._owns[name.key]
         # a first effect has to pay for itself only; a further one has the higher price that the search asks of it
-        further = FURTHER if others.fixed else 0.0
-        net, key, other = -np.inf, name.key, -np.inf
+        further = FURTHER if len(parts) > 1 else 0.0
+        net, key, rival = -np.inf, name.key, -np.inf
         for number, (family, own) in enumerate(zip(m.families, owns, strict=True)):
-            nets = train.nets(number) - (OF_ALL if family.unknown else 0.0) - further
-            other = max(other, float(nets[~own].max(initial=-np.inf)))
+            nets = others.nets(number) - (OF_ALL if family.unknown else 0.0) - further
+            rival = max(rival, float(nets[~own].max(initial=-np.inf)))
             if own.any() and (best := float(nets[own].max())) > net:
                 net, key = best, (number, int(np.argmax(np.where(own, nets, -np.inf))))
-        weight = float(np.exp(net - np.logaddexp.reduce([0.0, net, other])))
+        weight = float(np.exp(net - np.logaddexp.reduce([0.0, net, rival])))
         if weight < _RULED_OUT:
             return None
-        return next((part for part in model.fixed if part.key == key), None) or m.effect(*key), weight
+        return next((part for part in parts if part.key == key), None) or m.effect(*key), weight
 
 
 def gain_of_parts(state: State, parts: Sequence[Fixed | Random]) -> Gain:
@@ -146,15 +139,10 @@ def gain_of_parts(state: State, parts: Sequence[Fixed | Random]) -> Gain:
 
 def gain_between(before: State, after: State) -> Gain:
     """Return the gain of one state over another, at the sizes that each has."""
-    rows = folds_of(after.measurement)
-    pairs = []
-    for number in sorted({*rows.tolist()} - {-1}):
-        held = []
-        for one in (before, after):
-            fold = Fold(one.measurement, np.flatnonzero(rows == number))
-            held.append(fold.predicted(Model(one.fixed, one.random, one.logs)))
-        pairs.append((held[0], held[1]))
-    return gain_of(pairs)
+    both = (
+        [Others.of_fold(one, number).predicted() for number in fold_numbers(one.measurement)] for one in (before, after)
+    )
+    return gain_of([*zip(*both, strict=True)])
 
 
 def with_jackknife(state: State, effects: Sequence[IdentifiedEffect]) -> tuple[IdentifiedEffect, ...]:
@@ -210,16 +198,12 @@ def _collinear(state: State) -> set[Key]:
 
 def _factors(state: State) -> dict[Key, float]:
     """Return how many times the variance of the model each effect has over the units that are left out in turn."""
-    m, rows = state.measurement, folds_of(state.measurement)
-    model = Model(state.fixed, state.random, state.logs)
-    whole = fit_at(products_of(m, state.fixed, state.random), state.logs)
-    own = _estimates(state.fixed, whole)
+    own = _estimates(state.fixed, state.fit)
     squares: dict[Key, list[tuple[float, float]]] = {key: [] for key in own}
-    for number in sorted({*rows.tolist()} - {-1}):
-        fold = Fold(m, np.flatnonzero(rows == number))
-        fit = fit_at(fold.products(model), state.logs)
+    for number in fold_numbers(state.measurement):
+        others = Others.of_fold(state, number)
         # an effect that only this unit shows has no size without it
-        for key, (sizes, covariance) in _estimates(fold.others(state.fixed), fit).items():
+        for key, (sizes, covariance) in _estimates(others.kept, others.fit).items():
             change, q, inverse = sizes - own[key][0], len(sizes), np.linalg.inv(own[key][1])
             more = float(np.vdot(inverse, covariance)) / q - 1
             squares[key].append((float(change @ inverse @ change) / q / max(1.0, more), min(1.0, more)))
@@ -235,6 +219,6 @@ def _estimates(parts: Sequence[Fixed], fit: Fit) -> dict[Key, tuple[Array, Array
     """Return sizes of the effects among some fixed parts of a fit, and their covariance for the variance 1."""
     sizes, root = fit.sizes[fit.fixed :], np.linalg.inv(fit.lower[fit.fixed :, fit.fixed :])
     covariance, ends = root.T @ root, np.cumsum([0, *(part.rank for part in parts)]).tolist()
-    # held-out readings and terms of laws have keys too, which can be those of an effect
+    # terms of laws have keys too, which can be those of an effect
     placed = zip(parts, pairwise(ends), strict=True)
     return {part.key: (sizes[a:b], covariance[a:b, a:b]) for part, (a, b) in placed if part.sort == EFFECT}

@@ -6,7 +6,6 @@ Method: docs/algorithms/evidence.md (correlated errors).
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from itertools import combinations_with_replacement
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,7 +15,7 @@ from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Index
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.linear.projection import Linearised
-from metrocli.effects.covariates import Covariate, Numbers, smooth_functions
+from metrocli.effects.covariates import Covariate, smooth_functions
 from metrocli.frozen import dataclass
 
 if TYPE_CHECKING:
@@ -40,8 +39,6 @@ class Functions:
     """Median of the declared standard deviations of the readings of each internal unit"""
     columns: csr_matrix
     """Whitened columns, (rows, components*units*knots)"""
-    gram: Array
-    """Their products without what the unknowns absorb, (columns, columns)"""
 
 
 def process_bases(job: AdjustedJob, system: Linearised) -> Iterator[Functions]:
@@ -89,20 +86,8 @@ def _basis(job: AdjustedJob, system: Linearised, covariate: Covariate, by: str) 
     ends = np.arange(0, terms.size + 1, each, dtype=np.int32)
     # built from its arrays: each row has the same number of entries, so that nothing has to be sorted or counted
     columns = csr_matrix((terms.ravel(), numbers.ravel(), ends), shape=(system.rows, copies * count))
-    gram = _gram(terms, numbers, copies * count) - system.basis.gram_of(columns)
-    sigmas = {unit: _typical(job, unit) for unit in of_copies}
-    return Functions(covariate.name, by, distances, tuple(of_copies), units, sigmas, columns, gram)
-
-
-def _gram(terms: Array, numbers: Numbers, count: int) -> Array:
-    """Return the products of columns that have the values `terms` (rows, m) at their numbers (rows, m)."""
-    # products with i < j are found once and mirrored; those with i = j must not be, or they would count twice
-    diagonal, upper = np.zeros((2, count * count))
-    for i, j in combinations_with_replacement(range(terms.shape[1]), 2):
-        found = np.bincount(numbers[:, i] * count + numbers[:, j], terms[:, i] * terms[:, j], count * count)
-        (diagonal if i == j else upper)[:] += found
-    above = upper.reshape(count, count)
-    return diagonal.reshape(count, count) + above + above.T
+    sigmas = {unit: _typical(job, unit) for unit in dict.fromkeys(of_copies)}
+    return Functions(covariate.name, by, distances, tuple(of_copies), units, sigmas, columns)
 
 
 def _typical(job: AdjustedJob, unit: str) -> float:

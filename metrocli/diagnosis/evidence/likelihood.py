@@ -7,6 +7,8 @@ columns. Method: docs/algorithms/evidence.md.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from functools import cached_property
 from itertools import pairwise
 
@@ -14,6 +16,7 @@ import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index
+from metrocli.diagnosis.linear.quadratics import factored, solved
 from metrocli.frozen import dataclass
 
 _STEPS, _FAR, _STILL = 12, 2.0, 0.01
@@ -58,11 +61,28 @@ class Products:
         }
 
     @cached_property
-    def counts(self) -> Array:
-        """Number of columns of each random component."""
-        most = int(max(self.of_shared.max(initial=-1), self.of_local.max(initial=-1))) + 1
-        of_members = np.bincount(self.of_local, minlength=most) * len(self.own)
-        return np.asarray(np.bincount(self.of_shared[self.of_shared >= 0], minlength=most) + of_members, dtype=float)
+    def fixed(self) -> int:
+        """The first fixed column."""
+        return self.unknowns + int((self.of_shared >= 0).sum())
+
+    def columns(self, kept: Sequence[int], count: int) -> Index:
+        """Return the shared columns without those of some of the last parts, which are the `count` fixed ones."""
+        places = [*self.places.values()]
+        own = [np.arange(*places[len(places) - count + j]) for j in kept]
+        return np.concatenate([np.arange(self.fixed), *own])
+
+    def keeping(self, kept: Sequence[int], count: int) -> Products:
+        """Return the products without some of the `count` fixed parts."""
+        at, first = self.columns(kept, count), len(self.places) - count
+        parts = (*self.parts[:first], *(self.parts[first + j] for j in kept), *self.parts[first + count :])
+        return replace(
+            self,
+            gram=_among(self.gram, at, self.fixed),
+            right=self.right[at],
+            of_shared=self.of_shared[at],
+            mixed=self.mixed[:, :, np.append(at, -1)],
+            parts=parts,
+        )
 
 
 @dataclass(frozen=True)
@@ -93,8 +113,7 @@ class Fit:
     @property
     def fixed(self) -> int:
         """The first fixed column."""
-        kinds = self.products.of_shared
-        return self.products.unknowns + int((kinds >= 0).sum())
+        return self.products.fixed
 
     @property
     def _freedoms(self) -> int | float:
@@ -110,11 +129,29 @@ class Fit:
     @cached_property
     def sizes(self) -> Array:
         """Estimated coefficients of the shared columns, (p,)."""
-        from scipy.linalg import solve_triangular
+        from scipy.linalg.lapack import dtrtrs
 
-        if not len(self.lower):
-            return self.sought
-        return np.asarray(solve_triangular(self.lower, self.sought, lower=True, trans="T", check_finite=False))
+        return np.asarray(dtrtrs(self.lower.T, self.sought)[0]) if len(self.lower) else self.sought
+
+    def keeping(self, kept: Sequence[int], count: int) -> Fit:
+        """Return the state without some of its `count` fixed parts, at the same sizes of the random components."""
+        first, at = self.fixed, self.products.columns(kept, count)
+        if len(at) == len(self.sought):
+            return self
+        # fixed columns are the last: without some of them the factor of all before stays as it is
+        rest = self.lower[at[first:], first:]
+        lower, sought = _among(self.lower, at, first), self.sought[at]
+        lower[first:, first:] = factored(rest @ rest.T)
+        sought[first:] = solved(lower[first:, first:], rest @ self.sought[first:])
+        gone = float(self.sought[first:] @ self.sought[first:] - sought[first:] @ sought[first:])
+        return replace(
+            self,
+            products=self.products.keeping(kept, count),
+            lower=lower,
+            sought=sought,
+            squares=self.squares + gone,
+            shown=self.shown[:, :, np.append(at, -1)],
+        )
 
     @cached_property
     def slopes(self) -> tuple[Array, Array, Array]:
@@ -129,34 +166,35 @@ class Fit:
         products, variance = self.products, np.exp(self.logs)
         found, expected, bend = np.zeros((3, len(variance)))
 
-        def add(j: int, sizes: Array, unsettled: Array) -> None:
-            trace, count = float(np.einsum("mkk->", unsettled)), unsettled.shape[0] * unsettled.shape[1]
+        def add(j: int, sizes: Array, count: int, trace: float, squares: float) -> None:
             # coefficients are in units of their own standard deviation, so that their
             # squares add up to their effective number
-            found[j] += float((sizes**2).sum())
+            found[j] += float(np.vdot(sizes, sizes))
             expected[j] += count - trace
-            bend[j] += count - 2 * trace + float(np.vdot(unsettled, unsettled))
+            bend[j] += count - 2 * trace + squares
 
         if (products.of_shared >= 0).any():
-            # dpotri gives one triangle of the inverse, and leaves in the other what was there
-            upper = dpotri(self.lower.T)[0]
-            inverse = np.triu(upper) + np.triu(upper, 1).T
-            for j in range(len(variance)):
-                at = np.flatnonzero(products.of_shared == j)
-                add(j, self.sizes[at] / np.sqrt(variance[j]), inverse[None, at[:, None], at] / variance[j])
+            # the triangle of the inverse above its diagonal; the factor has left zeros below
+            inverse = dpotri(self.lower.T)[0]
+            for j, (a, b) in _stretches(products.of_shared):
+                own, variances = inverse[a:b, a:b] / variance[j], np.diag(inverse)[a:b] / variance[j]
+                squares = 2 * float(np.vdot(own, own)) - float(variances @ variances)
+                add(j, self.sizes[a:b] / np.sqrt(variance[j]), b - a, float(variances.sum()), squares)
         if len(products.own) and products.of_local.size:
             left, shared = np.swapaxes(self.half, 1, 2), self.shown[:, :, :-1]
-            sizes = np.einsum("mkj,mj->mk", left, self.shown[:, :, -1] - shared @ self.sizes)
-            across = _solved(self.lower, shared.reshape(-1, shared.shape[2]).T).T.reshape(shared.shape)
+            sizes = (left @ (self.shown[:, :, -1] - shared @ self.sizes)[:, :, None])[:, :, 0]
+            across = solved(self.lower, shared.reshape(-1, shared.shape[2]).T).T.reshape(shared.shape)
             posterior = left @ (across @ np.swapaxes(across, 1, 2) + np.eye(shared.shape[1])) @ self.half
-            for j in range(len(variance)):
-                at = np.flatnonzero(products.of_local == j)
-                add(j, sizes[:, at], posterior[:, at[:, None], at])
+            for j, (a, b) in _stretches(products.of_local):
+                unsettled, count = posterior[:, a:b, a:b], len(posterior) * (b - a)
+                add(j, sizes[:, a:b], count, float(np.einsum("mkk->", unsettled)), float((unsettled**2).sum()))
         return found * self._freedoms / self.squares, expected, bend
 
 
 def fit_at(products: Products, logs: Array) -> Fit:
     """Return a state at ln of the variances of its random components."""
+    from scipy.linalg.lapack import dtrtri
+
     gram, right, squares = products.gram, products.right, products.squares
     root = np.exp(np.asarray(logs) / 2)
     log_det, p = 0.0, len(right)
@@ -167,7 +205,7 @@ def fit_at(products: Products, logs: Array) -> Fit:
         own = products.own * (scale[:, None] * scale) + np.eye(len(scale))
         lower = np.linalg.cholesky(own)
         log_det += 2 * float(np.log(np.einsum("mkk->mk", lower)).sum())
-        half = np.linalg.inv(lower)
+        half = np.stack([dtrtri(one, lower=True)[0] for one in lower])
         shown = (half * scale) @ products.mixed
         flat = shown.reshape(-1, p + 1)
         taken = flat.T @ flat
@@ -175,18 +213,15 @@ def fit_at(products: Products, logs: Array) -> Fit:
         right = right - taken[:p, p]
         squares = squares - float(taken[p, p])
     kinds = products.of_shared
-    random = kinds >= 0
-    if random.any():
-        gram = gram.copy()
-        at = np.flatnonzero(random)
-        # the prior of a coefficient: one reading of 0 with the variance of its component
-        gram[at, at] += np.exp(-np.asarray(logs)[kinds[at]])
-        log_det += float(np.asarray(logs)[kinds[at]].sum())
-    lower = _cholesky(gram)
-    fixed = products.unknowns + int(random.sum())
+    at = np.flatnonzero(kinds >= 0)
+    # the prior of a coefficient: one reading of 0 with the variance of its component
+    priors = np.zeros(p)
+    priors[at] = np.exp(-np.asarray(logs)[kinds[at]])
+    log_det += float(np.asarray(logs)[kinds[at]].sum())
+    lower = factored(gram, priors)
     # fixed columns are not in this determinant: `likelihood` and the evidence treat them differently
-    log_det += 2 * float(np.log(np.diag(lower)[:fixed]).sum())
-    sought = _solved(lower, right)
+    log_det += 2 * float(np.log(np.diag(lower)[: products.unknowns + len(at)]).sum())
+    sought = solved(lower, right)
     return Fit(
         products,
         np.asarray(logs, dtype=float),
@@ -199,14 +234,14 @@ def fit_at(products: Products, logs: Array) -> Fit:
     )
 
 
-def likeliest(products: Products, logs: Array, most: Array, steps: int = _STEPS) -> Fit:
-    """Return the state at the sizes of the largest likelihood, from some on; ln of a variance is `most` at most.
+def likeliest(fit: Fit, most: Array, steps: int = _STEPS) -> Fit:
+    """Return the state at the sizes of the largest likelihood, from those of a fit on; ln of each is `most` at most.
 
     Each step is Newton's for each size alone. One after which the likelihood is smaller is shortened. A quarter of
     `(found - expected)'step` is what the likelihood gains by a step of Newton.
     """
-    fit = fit_at(products, np.minimum(logs, most))
-    for _ in range(steps if len(logs) else 0):
+    products = fit.products
+    for _ in range(steps if len(most) else 0):
         found, expected, bend = fit.slopes
         # a step of at most e^2 in a variance: from nothing the bend is near 0, and Newton's step would leave the range
         step = np.clip((found - expected) / np.maximum(bend, 1e-9), -_FAR, _FAR)
@@ -231,24 +266,16 @@ def likeliest(products: Products, logs: Array, most: Array, steps: int = _STEPS)
     return fit
 
 
-def _cholesky(gram: Array) -> Array:
-    """Return the factor of a Gram matrix; a column that depends on those before it counts as nearly free."""
-    if not len(gram):
-        return gram
-    scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
-    unit = gram / scale / scale[:, None]
-    # columns of two parts can be nearly the same: the least bump with which the factor exists changes the others least
-    bump = 1e-13
-    while True:
-        try:
-            return np.asarray(np.linalg.cholesky(unit + bump * np.eye(len(unit))) * scale[:, None])
-        except np.linalg.LinAlgError:
-            bump *= 100
-            if bump > 1e-3:
-                raise
+def _among(matrix: Array, at: Index, first: int) -> Array:
+    """Return a matrix at some rows and columns, of which the first ones are all."""
+    found = np.empty((len(at), len(at)))
+    # stretches are copied several times faster than numbers one by one
+    found[:first, :first], found[:first, first:] = matrix[:first, :first], matrix[:first, at[first:]]
+    found[first:] = matrix[np.ix_(at[first:], at)]
+    return found
 
 
-def _solved(lower: Array, right: Array) -> Array:
-    from scipy.linalg import solve_triangular
-
-    return np.asarray(solve_triangular(lower, right, lower=True, check_finite=False)) if len(lower) else right
+def _stretches(kinds: Index) -> list[tuple[int, tuple[int, int]]]:
+    """Return each random component with the stretch of its columns, by the component of each column, -1 for none."""
+    begins = [0, *(np.flatnonzero(np.diff(kinds)) + 1).tolist(), len(kinds)]
+    return [(int(kinds[a]), (a, b)) for a, b in pairwise(begins) if kinds[a] >= 0]

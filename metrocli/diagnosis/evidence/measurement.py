@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import field, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
@@ -30,7 +29,7 @@ from metrocli.diagnosis.evidence.parts import (
     fixed,
 )
 from metrocli.diagnosis.evidence.prices import OF_ALL, OF_UNITS, PRIOR, Prices, price_of_variance
-from metrocli.diagnosis.linear.basis import Basis, Columns, thin
+from metrocli.diagnosis.linear.basis import Columns, thin
 from metrocli.diagnosis.linear.candidates import Candidate, CandidateGroup, NotTested
 from metrocli.diagnosis.linear.projection import Linearised
 from metrocli.effects.covariates import kernel, least_length
@@ -70,8 +69,6 @@ class Measurement:
     """The measurement with the declared noise of all readings; None if it is this one"""
     held: dict[object, Array] = field(default_factory=dict, compare=False, repr=False)
     """Cache of columns and products"""
-    fits: dict[object, Any] = field(default_factory=dict, compare=False, repr=False)
-    """Cache of models with their fits"""
 
     @cached_property
     def squares(self) -> float:
@@ -174,15 +171,11 @@ class Measurement:
         """Cache of products with its families; a measurement with other families shares `held`, not this."""
         return {}
 
-    def whole_grams(self, family: int) -> Array:
-        """Return the Gram matrices of the whole columns of a family, (alternatives, parameters, parameters)."""
-        columns = self.families[family].columns
+    def grams_beside_members(self, family: int) -> Array:
+        """Return the Gram matrices of a family beside the local unknowns, (alternatives, parameters, parameters)."""
         held, key = self.held_of_families, ("grams", family)
         if key not in held:
-            rows = self.system.rows
-            # a basis without columns: whole products are those beside nothing
-            nothing = Basis(np.zeros((rows, 0)), np.full(rows, -1), 0, np.zeros((rows, 0)))
-            held[key] = columns.grams(nothing)
+            held[key] = self.families[family].columns.grams(self.system.basis.of_members)
         return held[key]
 
     def effect(self, family: int, number: int) -> Fixed:

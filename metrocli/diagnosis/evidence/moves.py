@@ -131,15 +131,23 @@ def _settled(state: State, noise: Mapping[int, float], watched: Sequence[int]) -
 
 
 def moves(state: State, quiet: set[int] | None = None) -> list[Move]:
-    """Return what may enter a state, the best first; `quiet` are covariates that showed nothing before."""
-    found = [*effects(state), *readings(state), *_masked_readings(state)]
-    random = scattered_effects(state)[:1]
-    if sum(part.kind == CORRELATED for part in state.random) < _CORRELATED:
-        random += correlated_errors(state, quiet)
-    found += [Move(entering.net, found=entering) for entering in random]
-    found += _noise(state, alone=all(move.net <= 0 for move in found))
-    # a little below 0 too: quick gains are at the present sizes, and may rise when these are estimated
-    return sorted((move for move in found if move.net > -1), key=lambda move: -move.net)
+    """Return what may enter a state, the best first, computed once; `quiet` are covariates that showed nothing before.
+
+    Those that show nothing here are added to them.
+    """
+    quiet = set() if quiet is None else quiet
+    if (key := ("moves", frozenset(quiet))) not in state.held:
+        found = [*effects(state), *readings(state), *_masked_readings(state)]
+        random = scattered_effects(state)[:1]
+        if sum(part.kind == CORRELATED for part in state.random) < _CORRELATED:
+            random += correlated_errors(state, quiet)
+        found += [Move(entering.net, found=entering) for entering in random]
+        found += _noise(state, alone=all(move.net <= 0 for move in found))
+        # a little below 0 too: quick gains are at the present sizes, and may rise when these are estimated
+        state.held[key] = sorted((move for move in found if move.net > -1), key=lambda move: -move.net), {*quiet}
+    entering, silent = state.held[key]
+    quiet |= silent
+    return list(entering)
 
 
 def _noise(state: State, alone: bool) -> list[Move]:

@@ -14,7 +14,7 @@ from metrocli.frozen import dataclass
 
 READINGS = -1
 """Family of the errors of single readings"""
-EFFECT, READING, UNKNOWN, TERM, HELD_OUT = "effect", "reading", "unknown cause", "term of a law", "held-out readings"
+EFFECT, READING, UNKNOWN, TERM = "effect", "reading", "unknown cause", "term of a law"
 """Sorts of fixed columns"""
 SCATTER, CORRELATED = "scatter", "correlated"
 _SEEN = 1e-4

@@ -14,21 +14,8 @@ from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index
 from metrocli.diagnosis.evidence.likelihood import Products
 from metrocli.diagnosis.evidence.measurement import Measurement
-from metrocli.diagnosis.evidence.parts import HELD_OUT, Fixed, Random
-
-NEVER_HELD = (HELD_OUT, (0, 0))
-"""Key of the columns of held-out rows, of which each fold has its own"""
-
-
-def local_part(m: Measurement, own: Array, x: Array) -> Array:
-    """Return `E E' x` of columns E of single members."""
-    order, begins = m.by_member
-    absorbed = np.zeros(x.shape)
-    # member by member: one product for all would be as large as the table of all pairs of rows
-    for a, b in pairwise(begins):
-        rows = order[a:b]
-        absorbed[rows] = own[rows] @ (own[rows].T @ x[rows])
-    return absorbed
+from metrocli.diagnosis.evidence.parts import Fixed, Random
+from metrocli.diagnosis.linear.basis import Columns
 
 
 def within(m: Measurement, columns: Array) -> Array:
@@ -38,9 +25,7 @@ def within(m: Measurement, columns: Array) -> Array:
 
 
 def without_local(m: Measurement, key: object, columns: Array) -> Array:
-    """Return columns (rows, k) without what local unknowns absorb, computed once for each key but those held out."""
-    if key == NEVER_HELD:
-        return within(m, columns)
+    """Return columns (rows, k) without what local unknowns absorb, computed once for each key."""
     if key not in m.held:
         m.held[key] = within(m, columns)
     return m.held[key]
@@ -64,9 +49,8 @@ def shared_parts(
 
 
 def _without_unknowns(m: Measurement, parts: Sequence[tuple[object, Array]]) -> list[Array]:
-    """Return the columns of parts without what the unknowns absorb, computed once for each key but those held out."""
-    new = [(key, columns) for key, columns in parts if key == NEVER_HELD or ("M", key) not in m.held]
-    found = dict[object, Array]()
+    """Return the columns of parts without what the unknowns absorb, computed once for each key."""
+    new = [(key, columns) for key, columns in parts if ("M", key) not in m.held]
     if new:
         left, shared = (
             np.concatenate([without_local(m, key, columns) for key, columns in new], axis=1),
@@ -75,11 +59,8 @@ def _without_unknowns(m: Measurement, parts: Sequence[tuple[object, Array]]) -> 
         left -= shared @ (shared.T @ left)
         ends = np.cumsum([columns.shape[1] for _, columns in new])[:-1]
         for (key, _), own in zip(new, np.split(left, ends, axis=1), strict=True):
-            if key == NEVER_HELD:
-                found[key] = own
-            else:
-                m.held["M", key] = own
-    return [found[key] if key in found else m.held["M", key] for key, _ in parts]
+            m.held["M", key] = own
+    return [m.held["M", key] for key, _ in parts]
 
 
 def shared_columns(
@@ -109,25 +90,20 @@ def local_columns(m: Measurement, random: Sequence[Random]) -> Array:
 
 
 def products_of(
-    m: Measurement,
-    fixed: Sequence[Fixed],
-    random: Sequence[Random],
-    with_unknowns: bool = False,
-    known: Products | None = None,
+    m: Measurement, fixed: Sequence[Fixed], random: Sequence[Random], known: Products | None = None
 ) -> Products:
-    """Return the products of all columns of a state, those of the unknowns where members have errors, or if asked.
+    """Return the products of all columns of a state, those of the unknowns as well where members have errors.
 
     Products of two parts are computed once. `known` are those of a state that has some of the parts.
     """
     local = _local_parts(m, random)
     # errors of a member change what its unknowns absorb, and with these what the shared unknowns do
-    with_unknowns |= bool(local)
-    shared = shared_parts(m, fixed, random, with_unknowns)
+    shared = shared_parts(m, fixed, random, bool(local))
     parts = tuple((key, one.shape[1]) for key, one in (*shared, *local))
     if known is not None and known.parts == parts:
         return known
     gram, right = _gram(m, shared, known)
-    unknowns = shared[0][1].shape[1] if with_unknowns else 0
+    unknowns = shared[0][1].shape[1] if local else 0
     kinds = [np.full(unknowns, -1)]
     kinds += [np.full(one.columns.shape[1], j) for j, one in enumerate(random) if not one.local]
     kinds += [np.full(part.rank, -1) for part in fixed]
@@ -136,12 +112,9 @@ def products_of(
     own = np.zeros((members, 0, 0))
     mixed = np.zeros((members, 0, len(right) + 1))
     if local:
-        with_residual = [*shared, ("residual", m.system.residual[:, None])]
-        own = np.concatenate(
-            [np.concatenate([_of_members(m, one, other) for other in local], axis=2) for one in local], axis=1
-        )
-        mixed = np.concatenate(
-            [np.concatenate([_of_members(m, one, other) for other in with_residual], axis=2) for one in local], axis=1
+        own, mixed = (
+            np.concatenate([products_of_members(m, random, other, m.held) for other in others], axis=2)
+            for others in (local, [*shared, ("residual", m.system.residual[:, None])])
         )
     return Products(
         gram,
@@ -155,6 +128,22 @@ def products_of(
         mixed,
         parts,
     )
+
+
+def products_of_members(
+    m: Measurement, random: Sequence[Random], other: tuple[object, Columns], held: dict[object, Array]
+) -> Array:
+    """Return the products of the errors of each member with columns (rows, p) of a name, (members, k, p).
+
+    Those of each part are computed once in a cache.
+    """
+    (order, begins), found = m.by_member, list[Array]()
+    for key, columns in _local_parts(m, random):
+        at = "of members", key, other[0]
+        if at not in held:
+            held[at] = np.stack([columns[order[a:b]].T @ other[1][order[a:b]] for a, b in pairwise(begins)])
+        found.append(held[at])
+    return np.concatenate(found, axis=1)
 
 
 def _gram(m: Measurement, shared: Sequence[tuple[object, Array]], known: Products | None) -> tuple[Array, Array]:
@@ -180,22 +169,8 @@ def _gram(m: Measurement, shared: Sequence[tuple[object, Array]], known: Product
 
 
 def _product(m: Measurement, first: tuple[object, Array], other: tuple[object, Array]) -> Array:
-    """Return the product of the columns of two parts, computed once for those of known keys."""
+    """Return the product of the columns of two parts, computed once."""
     key = "product", first[0], other[0]
-    if NEVER_HELD in (first[0], other[0]):
-        return first[1].T @ other[1]
     if key not in m.held:
         m.held[key] = first[1].T @ other[1]
     return m.held[key]
-
-
-def _of_members(m: Measurement, first: tuple[object, Array], other: tuple[object, Array]) -> Array:
-    """Return the products of the columns of two parts in each local member, (members, k, p)."""
-    key = "of members", first[0], other[0]
-    if key in m.held:
-        return m.held[key]
-    order, begins = m.by_member
-    found = np.stack([first[1][order[a:b]].T @ other[1][order[a:b]] for a, b in pairwise(begins)])
-    if NEVER_HELD not in (first[0], other[0]):
-        m.held[key] = found
-    return found

@@ -3,9 +3,9 @@
 Weights `1 + d` of some rows change the products `Y'Y` of columns that are free of the local unknowns, whose orthonormal
 columns are L, member by member:
 
-    Y'Y + Y'DY - Y'DL (I + L'DL)^-1 L'DY
+    Y'Y + Y'DY - Y'DL (I + L'DL)^+ L'DY
 
-D and all products on the right have these rows only. Method: docs/algorithms/evidence.md.
+D and all products on the right have these rows only. D = -I leaves the rows out. Method: docs/algorithms/evidence.md.
 """
 
 from __future__ import annotations
@@ -19,10 +19,13 @@ import numpy as np
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index
 from metrocli.diagnosis.evidence.likelihood import Fit, Products
-from metrocli.diagnosis.evidence.prices import PRIOR
 from metrocli.diagnosis.evidence.products import local_columns, shared_columns
 from metrocli.diagnosis.evidence.state import State
+from metrocli.diagnosis.linear.quadratics import solved
 from metrocli.frozen import dataclass
+
+_SHOWN = 1e-9
+"""Weight of a direction of local unknowns, in that before, below which no row shows it any more"""
 
 
 @dataclass(frozen=True)
@@ -31,74 +34,82 @@ class Reweighted:
 
     products: Products
     """With the shared unknowns"""
-    log_scale: float
-    """What the determinants of the covariance and of the local unknowns add to the likelihood"""
+    log_det: float
+    """ln of the determinant by which the products of the local unknowns have changed"""
+    lost: int
+    """Number of directions of local unknowns that no row shows any more"""
     member: Index
     """Local member of each of the rows, -1 if it has none, (rows,)"""
     shared: Array
-    """What the local unknowns leave of the shared columns, and last of the residual, weighted, (rows, p + 1)"""
+    """What the local unknowns leave of the shared columns, and last of the residual, (rows, p + 1)"""
     local: Array
-    """What they leave of the columns of single members, weighted, (rows, k)"""
+    """What they leave of the columns of single members, (rows, k)"""
     absorbed: Array
     """Share of each row that the local unknowns absorb, (rows,)"""
 
     @classmethod
-    def of(cls, state: State, rows: Index, factor: Array) -> Reweighted:
-        """Return the products after some rows are multiplied by a factor, (rows,)."""
+    def of(cls, state: State, rows: Index, change: Array) -> Reweighted:
+        """Return the products after the weights of some rows, which are 1, have changed, (rows,)."""
         m, known = state.measurement, _with_unknowns(state)
-        residual = m.system.residual
         columns = [m.system.basis.shared[rows]] if state.members_are_free else []
         columns += [shared_columns(m, state.fixed, state.random, not state.members_are_free, rows)]
-        every = np.concatenate([*columns, residual[rows, None], local_columns(m, state.random)[rows]], axis=1)
-        p, weight = len(known.right), factor**2 - 1
+        residual = m.system.residual[rows, None]
+        every = np.concatenate([*columns, residual, local_columns(m, state.random)[rows]], axis=1)
+        p, weight = len(known.right), change[:, None]
         basis = m.system.basis.of_members.at(rows)
         member, shape = basis.member, (basis.members, basis.local.shape[1], every.shape[1])
         # rows without a member have the number -1, whose local columns belong to somebody else
         lever = np.where(member[:, None] >= 0, basis.local, 0.0)
         order = np.argsort(member, kind="stable")
         begins = np.searchsorted(member[order], np.arange(basis.members + 1))
-        squared = np.eye(shape[1]) + _sums(lever[:, :, None] * (weight[:, None] * lever)[:, None, :], order, begins)
-        inside = basis.coordinates(weight[:, None] * every).reshape(shape)
-        solved = np.linalg.solve(squared, inside)
+        squared = np.eye(shape[1]) + _sums(lever[:, :, None] * (weight * lever)[:, None, :], order, begins)
+        values, vectors = np.linalg.eigh(squared)
+        shown = values > _SHOWN
+        root = vectors * np.where(shown, values, np.inf)[:, None] ** -0.5
+        inverse = root @ np.swapaxes(root, 1, 2)
+        inside = basis.coordinates(weight * every).reshape(shape)
+        solved = inverse @ inside
         taken = inside[:, :, : p + 1].reshape(-1, p + 1).T @ solved[:, :, : p + 1].reshape(-1, p + 1)
-        change = every[:, : p + 1].T @ (weight[:, None] * every[:, : p + 1]) - taken
-        gram, right, squares = known.gram + change[:p, :p], known.right + change[:p, p], change[p, p]
-        squares, k = float(residual @ residual + squares), known.unknowns
-        # what the unknowns alone leave, of which the declared noise counts for a share
-        bare = squares - float(right[:k] @ np.linalg.solve(gram[:k, :k], right[:k]))
-        left = (every - basis.combined(np.asarray(solved.reshape(-1, shape[2]), dtype=float))) * factor[:, None]
-        absorbed = np.einsum("rq,rqs,rs->r", lever, np.linalg.inv(squared)[member], lever) if basis.members else 0.0
+        shared = every[:, : p + 1]
+        # of columns with themselves, which takes half the time, where all weights have changed alike
+        alike = np.ptp(change) == 0
+        grown = (change[0] * (shared.T @ shared) if alike else shared.T @ (weight * shared)) - taken
         products = replace(
             known,
-            gram=gram,
-            right=right,
-            squares=squares + PRIOR * min(1.0, bare / max(m.system.dof, 1)),
+            gram=known.gram + grown[:p, :p],
+            right=known.right + grown[:p, p],
+            squares=known.squares + float(grown[p, p]),
         )
+        left = every - basis.combined(np.asarray(solved.reshape(-1, shape[2]), dtype=float))
+        absorbed = np.einsum("rq,rqs,rs->r", lever, inverse[member], lever) if basis.members else np.zeros(len(rows))
         if shape[2] > p + 1:
             at = m.system.basis.member[rows]
             numbers, mixed, own = np.flatnonzero(np.bincount(at[at >= 0])), known.mixed.copy(), known.own.copy()
             for number, some, w, x in zip(numbers, _parts(order, begins), inside, solved, strict=True):
-                grown = every[some, p + 1 :].T @ (weight[some, None] * every[some]) - w[:, p + 1 :].T @ x
-                mixed[number] += grown[:, : p + 1]
-                own[number] += grown[:, p + 1 :]
+                more = every[some, p + 1 :].T @ (weight[some] * every[some]) - w[:, p + 1 :].T @ x
+                mixed[number] += more[:, : p + 1]
+                own[number] += more[:, p + 1 :]
             products, member = replace(products, own=own, mixed=mixed), at
-        scale = float(np.log(factor).sum()) - float(np.linalg.slogdet(squared)[1].sum()) / 2
-        return cls(products, scale, member, left[:, : p + 1], left[:, p + 1 :], absorbed * factor**2)
+        log_det, lost = float(np.log(values[shown]).sum()), int((~shown).sum())
+        return cls(products, log_det, lost, member, left[:, : p + 1], left[:, p + 1 :], absorbed)
 
-    def left(self, fit: Fit) -> tuple[Array, Array]:
-        """Return the share of each row that a fit of the products absorbs, and its residual."""
-        from scipy.linalg import solve_triangular
+    def left(self, fit: Fit, columns: Index | slice = slice(-1)) -> tuple[Array, Array]:
+        """Return the share of each row that a fit of all or some columns absorbs, and its residual.
 
-        x, absorbed = self.shared, self.absorbed
+        Both are those of a row of weight 1.
+        """
+        x, residual, absorbed = self.shared[:, columns], self.shared[:, -1], self.absorbed
         if self.local.shape[1]:
-            scaled = self.local * np.exp(fit.logs[fit.products.of_local] / 2)
-            errors = np.einsum("rk,rjk->rj", scaled, fit.half[self.member])
-            x = x - np.einsum("rk,rkp->rp", errors, fit.shown[self.member])
-            absorbed = absorbed + np.einsum("rk,rk->r", errors, errors)
-        if not len(fit.lower):
-            return absorbed, x[:, -1]
-        inside = solve_triangular(fit.lower, x[:, :-1].T, lower=True, check_finite=False)
-        return absorbed + np.einsum("pr,pr->r", inside, inside), x[:, -1] - x[:, :-1] @ fit.sizes
+            scaled, x = self.local * np.exp(fit.logs[fit.products.of_local] / 2), np.array(x)
+            residual, absorbed = residual.copy(), absorbed.copy()
+            for member in np.unique(self.member[self.member >= 0]).tolist():
+                rows, shown = self.member == member, fit.shown[member]
+                errors = scaled[rows] @ fit.half[member].T
+                x[rows] -= errors @ shown[:, :-1]
+                residual[rows] -= errors @ shown[:, -1]
+                absorbed[rows] += (errors**2).sum(axis=1)
+        inside = solved(fit.lower, x.T)
+        return absorbed + np.einsum("pr,pr->r", inside, inside), residual - x @ fit.sizes
 
 
 def _parts(order: Index, begins: Index) -> Iterator[Index]:
@@ -124,4 +135,5 @@ def _with_unknowns(state: State) -> Products:
     of_shared = np.concatenate([np.full(k, -1), known.of_shared])
     # the residual is free of the unknowns, so that its products with them are 0
     right, mixed = np.concatenate([np.zeros(k), known.right]), np.zeros((*known.mixed.shape[:2], k + p + 1))
-    return replace(known, gram=gram, right=right, unknowns=k, of_shared=of_shared, mixed=mixed, parts=())
+    parts = (("unknowns", k), *known.parts)
+    return replace(known, gram=gram, right=right, unknowns=k, of_shared=of_shared, mixed=mixed, parts=parts)

@@ -5,10 +5,10 @@ Method: docs/algorithms/evidence.md.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import field, replace
 from functools import cached_property
-from typing import Any, Self
+from typing import Any, Self, cast
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from metrocli.diagnosis.evidence.measurement import LENGTHS, Measurement
 from metrocli.diagnosis.evidence.parts import EFFECT, READINGS, SCATTER, UNKNOWN, Fixed, Random
 from metrocli.diagnosis.evidence.prices import FURTHER, PRIOR, gain_of_columns
 from metrocli.diagnosis.evidence.products import products_of
+from metrocli.diagnosis.linear.quadratics import solved
 from metrocli.frozen import dataclass
 
 
@@ -53,8 +54,8 @@ def _in_turn(gram: Array, right: Array, ranks: Sequence[int], squares: float, do
     scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
     unit = gram / scale / scale[:, None]
     # the bump lets a column that depends on others pass; its diagonal shows below that it did
-    lower = np.linalg.cholesky(unit + 1e-12 * np.eye(len(unit)))
-    explained = np.linalg.solve(lower, right / scale) ** 2
+    lower = np.asarray(np.linalg.cholesky(unit + 1e-12 * np.eye(len(unit))), dtype=float)
+    explained = solved(lower, right / scale) ** 2
     # a column that depends on those before it explains nothing
     explained = np.where(np.diag(lower) > 1e-5, explained, 0.0)
     after = np.cumsum(np.concatenate([[0.0], explained]))[np.cumsum([0, *ranks])]
@@ -90,8 +91,8 @@ class Scored:
         """Return a state, its sizes estimated from some on; `known` are the products of some of its parts."""
         products = products_of(measurement, fixed, random, known=known)
         most = np.array([part.most for part in random])
-        fit = likeliest(products, np.array(logs, dtype=float), most, steps)
-        return cls(measurement, tuple(fixed), tuple(random), fit)
+        fit = fit_at(products, np.minimum(np.array(logs, dtype=float), most))
+        return cls(measurement, tuple(fixed), tuple(random), likeliest(fit, most, steps))
 
     @property
     def logs(self) -> Array:
@@ -175,18 +176,36 @@ class Scored:
         )
 
     def minus(self, parts: Sequence[Fixed | Random], steps: int = TRIAL) -> Self:
-        """Return the state without some parts, all sizes estimated anew."""
+        """Return the state without some parts, all sizes estimated anew, computed once."""
         gone = {id(part) for part in parts}
-        kept = [j for j, one in enumerate(self.random) if id(one) not in gone]
-        fixed = [part for part in self.fixed if id(part) not in gone]
-        random = [self.random[j] for j in kept]
-        return type(self).of(self.measurement, fixed, random, self.logs[kept], steps, self.fit.products)
+        # the state holds its parts, so that their identities stay theirs
+        if (key := ("minus", frozenset(gone), steps)) not in self.held:
+            kept = [j for j, one in enumerate(self.random) if id(one) not in gone]
+            fixed = [part for part in self.fixed if id(part) not in gone]
+            random, known = [self.random[j] for j in kept], self.fit.products
+            self.held[key] = (
+                self.keeping(fixed).again(steps)
+                if len(kept) == len(self.random)
+                else type(self).of(self.measurement, fixed, random, self.logs[kept], steps, known)
+            )
+        # without what it may come to hold of candidates and rows
+        return replace(cast("Self", self.held[key]), held={})
+
+    def again(self, steps: int = 12) -> Self:
+        """Return the state with all sizes estimated anew from these on."""
+        return replace(self, fit=likeliest(self.fit, np.array([part.most for part in self.random]), steps), held={})
+
+    def keeping(self, fixed: Iterable[Fixed]) -> Self:
+        """Return the state with some of its fixed parts, at the same sizes of the random parts."""
+        ids = {id(part) for part in fixed}
+        kept = [j for j, part in enumerate(self.fixed) if id(part) in ids]
+        fit = self.fit.keeping(kept, len(self.fixed))
+        return replace(self, fixed=tuple(self.fixed[j] for j in kept), fit=fit, held={})
 
     def beside(self, part: Fixed) -> Self:
         """Return the state without a fixed part, at the same sizes of the random parts."""
-        others = [other for other in self.fixed if other is not part]
-        # no steps: sizes that were estimated again would take up what the part has explained
-        return type(self).of(self.measurement, others, self.random, self.logs, 0, self.fit.products)
+        # sizes that were estimated again would take up what the part has explained
+        return self.keeping(other for other in self.fixed if other is not part)
 
     def with_fixed(self, number: int, part: Fixed) -> Self:
         """Return the state with another fixed part in the place of one."""
@@ -208,7 +227,7 @@ class Scored:
 
     def settled(self) -> Self:
         """Return the state with all sizes estimated until they stay."""
-        return self.plus(steps=12) if self.random else self
+        return self.again() if self.random else self
 
 
 def remade(m: Measurement, part: Random) -> Random:

@@ -16,10 +16,10 @@ from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index, Mask
 from metrocli.diagnosis.evidence.parts import LARGEST, READINGS, Fixed
 from metrocli.diagnosis.evidence.prices import FURTHER, OF_ALL, gain_of_columns
-from metrocli.diagnosis.evidence.products import NEVER_HELD, local_columns, local_part, shared_parts
+from metrocli.diagnosis.evidence.products import local_columns, products_of_members, shared_parts
 from metrocli.diagnosis.evidence.scored import Scored
-from metrocli.diagnosis.linear.basis import Basis, Columns, squared
-from metrocli.diagnosis.linear.quadratics import quadratic
+from metrocli.diagnosis.linear.basis import Basis, Columns, squared, without_gathering
+from metrocli.diagnosis.linear.quadratics import quadratic, solved
 from metrocli.frozen import dataclass
 
 _MOST_HELD = 2_000_000
@@ -53,22 +53,22 @@ class State(Scored):
     @cached_property
     def entered(self) -> Array:
         """Columns v beside the unknowns: `P = M - v v'` is left; those of all that is shared beside members' errors."""
-        from scipy.linalg import solve_triangular
-
         m, x = self.measurement, np.concatenate([np.zeros((self.measurement.system.rows, 0)), *self._columns], axis=1)
-        x = x if self.members_are_free else x - local_part(m, self._by_members, x)
-        if not x.shape[1]:
-            return x
-        return np.asarray(solve_triangular(self.fit.lower, x.T, lower=True, overwrite_b=True, check_finite=False).T)
+        if not self.members_are_free:
+            errors, (order, begins) = self._by_members, m.by_member
+            for shown, some in zip(self.fit.shown, (order[a:b] for a, b in pairwise(begins)), strict=True):
+                rows = without_gathering(some)
+                x[rows] -= errors[rows] @ shown[:, :-1]
+        return solved(self.fit.lower, x.T).T
 
     @cached_property
-    def _parts(self) -> list[tuple[object, Array]]:
+    def parts(self) -> list[tuple[object, Array]]:
         """What is shared and entered, with its keys, free of the unknowns unless members have errors."""
         return shared_parts(self.measurement, self.fixed, self.random, not self.members_are_free)
 
     @property
     def _columns(self) -> list[Array]:
-        return [one for _, one in self._parts]
+        return [one for _, one in self.parts]
 
     @cached_property
     def basis(self) -> Basis:
@@ -85,13 +85,14 @@ class State(Scored):
     @cached_property
     def residual(self) -> Array:
         """What the state leaves of the residual, `P r` (rows,)."""
-        left = self.measurement.system.residual
+        sizes, ends = self.fit.sizes, np.cumsum([column.shape[1] for column in self._columns])
+        taken = (x @ sizes[b - x.shape[1] : b] for x, b in zip(self._columns, ends, strict=True))
+        left = self.measurement.system.residual - sum(taken)
         if not self.members_are_free:
-            return self.seen(left)
-        ends = np.cumsum([column.shape[1] for column in self._columns])
-        return np.asarray(
-            left - sum(x @ self.fit.sizes[b - x.shape[1] : b] for x, b in zip(self._columns, ends, strict=True))
-        )
+            shown = self.fit.shown
+            errors = shown[:, :, -1] - shown[:, :, :-1] @ sizes
+            left -= np.einsum("rk,rk->r", self._by_members, errors[self.measurement.system.basis.member])
+        return np.asarray(left)
 
     @cached_property
     def members_are_free(self) -> bool:
@@ -104,22 +105,22 @@ class State(Scored):
         The products with each part are computed once for a name of the columns in a cache, the measurement's unless
         another is given.
         """
-        from scipy.linalg import solve_triangular
+        return solved(self.fit.lower, self._with_parts(name, columns, self.measurement.held if held is None else held))
 
-        if held is None:
-            held = self.measurement.held
-        found: list[Array] = []
-        for key, x in self._parts:
-            at = "within", name, key
-            along = held[at] if at in held else columns(x)
-            if key != NEVER_HELD and along.size < _MOST_HELD:
-                held[at] = along
-            found.append(along)
-        if not found:
-            return columns(np.zeros((self.measurement.system.rows, 0)))
-        every = np.concatenate(found)
-        flat = every.reshape(len(every), -1)
-        return np.asarray(solve_triangular(self.fit.lower, flat, lower=True, check_finite=False).reshape(every.shape))
+    def _with_parts(self, name: object, columns: Callable[[Array], Array], held: dict[object, Array]) -> Array:
+        """Return the products of what is shared with some columns, (p, ...)."""
+        new = [(key, x) for key, x in self.parts if ("within", name, key) not in held]
+        found = {key: held["within", name, key] for key, _ in self.parts if ("within", name, key) in held}
+        if new or not found:
+            every = columns(np.concatenate([np.zeros((self.measurement.system.rows, 0)), *(x for _, x in new)], axis=1))
+            ends = np.cumsum([x.shape[1] for _, x in new])
+            for (key, x), end in zip(new, ends, strict=True):
+                found[key] = every[end - x.shape[1] : end]
+                if found[key].size < _MOST_HELD:
+                    held["within", name, key] = found[key]
+            if not new:
+                return every
+        return np.concatenate([found[key] for key, _ in self.parts])
 
     def absorbed(self, rows: Index | Mask | slice = slice(None)) -> Array:
         """Return the share of each reading that the state absorbs."""
@@ -186,9 +187,8 @@ class State(Scored):
             if taken is None:
                 gram = group.columns.grams(self.basis)
             else:
-                gram = (group.gram if self.members_are_free else m.whole_grams(family)) - taken @ np.swapaxes(
-                    taken, 1, 2
-                )
+                alone = group.gram if self.members_are_free else m.grams_beside_members(family)
+                gram = alone - taken @ np.swapaxes(taken, 1, 2)
             self.held[family] = gram, right
         found: tuple[Array, Array] = self.held[family]
         return found
@@ -202,35 +202,36 @@ class State(Scored):
     def _along(self) -> Array:
         """Coordinates of the small families in what the state takes, and last their products with the residual."""
         (every, _), held = self.measurement.side_by_side, self.measurement.held_of_families
-        free = self.members_are_free
-        taken = self.within("side by side", lambda x: (every.T @ x).T, held) if free else self._inside(every)
-        return np.concatenate([taken, (every.T @ self.residual)[None]])
+        return np.concatenate([self._inside("side by side", every, held), (every.T @ self.residual)[None]])
 
-    def _inside(self, columns: Columns) -> Array:
-        """Return coordinates c of columns (rows, k), (any, k): `columns' P columns` is `columns' columns - c' c`."""
-        (order, begins), basis = self.measurement.by_member, self.basis
-        parts = [basis.shared.T @ columns]
-        for rows in (order[a:b] for a, b in pairwise(begins)):
-            parts.append(basis.local[rows].T @ columns[rows])
-        return np.concatenate(parts)
+    def _inside(self, name: object, columns: Columns, held: dict[object, Array]) -> Array:
+        """Return coordinates c of columns (rows, k), (any, k): what the unknowns leave of their products is less c'c.
+
+        Those are the local unknowns alone where members have errors.
+        """
+
+        def products(x: Array) -> Array:
+            return np.asarray(columns.T @ x).T
+
+        if self.members_are_free:
+            return self.within(name, products, held)
+        p, scale = len(self.fit.lower), np.exp(self.logs[self.fit.products.of_local] / 2)
+        errors = (self.fit.half * scale) @ products_of_members(self.measurement, self.random, (name, columns), held)
+        flat = errors.reshape(-1, errors.shape[2])
+        taken = self.fit.shown[:, :, :p].reshape(-1, p).T @ flat
+        return np.concatenate([flat, solved(self.fit.lower, self._with_parts(name, products, held) - taken)])
 
     def gram(self, name: object, columns: Columns) -> Array:
         """Return `columns' P columns` of columns (rows, k); what does not depend on the state is computed once."""
-        held = self.measurement.held
-        if not self.members_are_free:
-            if ("whole", name) not in held:
-                held["whole", name] = squared(columns)
-            inside = self._inside(columns)
-            return np.asarray(held["whole", name] - inside.T @ inside)
-        if ("visible", name) not in held:
-            held["visible", name] = squared(columns) - self.measurement.system.basis.absorbed_of(columns)
-        inside = self.within(name, lambda x: (columns.T @ x).T)
-        return np.asarray(held["visible", name] - inside.T @ inside)
+        basis, held, key = self.measurement.system.basis, self.measurement.held, (self.members_are_free, name)
+        if key not in held:
+            alone = basis if self.members_are_free else basis.of_members
+            held[key] = squared(columns) - alone.absorbed_of(columns)
+        inside = self._inside(name, columns, held)
+        return np.asarray(held[key] - inside.T @ inside)
 
     def taken_by(self, part: Fixed) -> Array:
         """Return columns d, (rows, rank): without a fixed part the state would leave `P + d d'` of anything."""
-        from scipy.linalg import solve_triangular
-
         ends = np.cumsum([0, *(each.rank for each in self.fixed)])
         j = next(j for j, each in enumerate(self.fixed) if each is part)
         at, lower = self.fit.fixed, self.fit.lower[self.fit.fixed :, self.fit.fixed :]
@@ -239,7 +240,7 @@ class State(Scored):
         covariance = inverse[:, own].T @ inverse[:, own]
         w = self.entered[:, self.entered.shape[1] - (len(self.fit.lower) - at) :] @ inverse[:, own]
         lower = np.linalg.cholesky(covariance)
-        return np.asarray(solve_triangular(lower, w.T, lower=True, check_finite=False).T)
+        return solved(lower, w.T).T
 
     def of_family(self, family: int, taken: Array | None = None) -> tuple[Array, Array]:
         """Return the squares that each alternative of a family explains, and its rank; without a part if it is given.

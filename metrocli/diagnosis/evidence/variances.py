@@ -16,7 +16,7 @@ from metrocli.adjust.model.observations import Mask
 from metrocli.diagnosis.evidence.measurement import LENGTHS, Measurement
 from metrocli.diagnosis.evidence.parts import CORRELATED, LARGEST, SCATTER, Random
 from metrocli.diagnosis.evidence.state import State
-from metrocli.diagnosis.linear.basis import thin
+from metrocli.diagnosis.linear.basis import thin, without_gathering
 from metrocli.diagnosis.noise import DECLARED_SIGMA
 from metrocli.frozen import dataclass
 
@@ -98,15 +98,8 @@ def _blocks(state: State, number: int) -> _Blocks:
     knots, count = len(own.functions.distances), own.functions.count
     if m.local[number]:
         return _Blocks(*_of_units(state, number), own.components)
-    matrix = own.functions.columns
-    if state.members_are_free:
-        inside = state.within(("functions", number), lambda x: np.asarray(matrix.T @ x).T)
-        gram = own.functions.gram - inside.T @ inside
-    else:
-        if ("spread", number) not in m.held:
-            m.held["spread", number] = matrix.toarray()
-        gram = state.gram(("spread", number), m.held["spread", number])
-    along = np.asarray(matrix.T @ state.residual)
+    gram = state.gram(("functions", number), own.functions.columns)
+    along = np.asarray(own.functions.columns.T @ state.residual)
     # from component, unit, knot to unit, component, knot
     each = own.components
     gram = gram.reshape(each, count, knots, each, count, knots).transpose(1, 0, 2, 4, 3, 5)
@@ -128,10 +121,11 @@ def _of_units(state: State, number: int) -> tuple[Array, Array]:
     right = np.zeros((own.functions.count, size))
     order, begins = m.by_member
     for a, b in pairwise(begins):
-        rows = order[a:b]
-        rows = rows[own.component[rows] >= 0]
-        if len(rows):
-            c, unit = columns[rows], own.unit[rows[0]]
+        some = order[a:b]
+        some = some[own.component[some] >= 0]
+        if len(some):
+            rows = without_gathering(some)
+            c, unit = columns[rows], own.unit[some[0]]
             inside = state.entered[rows].T @ c
             taken[unit] += inside.T @ inside
             right[unit] += c.T @ state.residual[rows]
@@ -143,12 +137,11 @@ def _of_units(state: State, number: int) -> tuple[Array, Array]:
     return held[key] - taken, right
 
 
-def correlated_errors(state: State, quiet: set[int] | None = None, most: int = 3) -> list[Found]:
+def correlated_errors(state: State, quiet: set[int], most: int = 3) -> list[Found]:
     """Return the correlated errors with the largest quick net gains, the best first.
 
     Covariates that show nothing are added to `quiet`, and those that are there are not looked at again.
     """
-    quiet = set() if quiet is None else quiet
     m, scale = state.measurement, state.fit.dof / state.fit.squares
     held = {part.key for part in state.random if part.kind == CORRELATED}
     scored: list[tuple[float, tuple[int, int, int], Array, Array]] = []

@@ -11,9 +11,10 @@ from dataclasses import replace
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
-from metrocli.diagnosis.evidence.likelihood import likeliest
+from metrocli.diagnosis.evidence.likelihood import Products, fit_at, likeliest
 from metrocli.diagnosis.evidence.measurement import Measurement
 from metrocli.diagnosis.evidence.parts import Knots
+from metrocli.diagnosis.evidence.prices import PRIOR
 from metrocli.diagnosis.evidence.reweighted import Reweighted
 from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.linear.basis import squared
@@ -38,7 +39,7 @@ def with_noise(measurement: Measurement, ratios: Mapping[int, float]) -> Measure
         own,
         families=_families(measurement, weighted, factor),
         scatters=tuple(tuple(_weighted(one, weighted, factor) for one in own) for own in measurement.scatters),
-        knots=tuple(_knots(knot, weighted, factor) for knot in measurement.knots),
+        knots=tuple(_knots(knot, factor) for knot in measurement.knots),
     )
 
 
@@ -68,12 +69,15 @@ def tried_noise(
     for number in (*ratios, *watched):
         looked_at |= m.units[number][2]
     rows = np.flatnonzero(looked_at)
-    other = Reweighted.of(state, rows, factor[rows])
-    own = replace(m, noise=_noise_after(m, ratios), log_scale=m.log_scale + other.log_scale)
+    own_factor = factor[rows]
+    other = Reweighted.of(state, rows, own_factor**2 - 1)
+    scale = m.log_scale + float(np.log(own_factor).sum()) - other.log_det / 2
+    own = replace(m, noise=_noise_after(m, ratios), log_scale=scale)
     most = np.array([part.most for part in state.random])
-    fit = likeliest(other.products, state.logs if logs is None else logs, most)
+    fit = likeliest(fit_at(_with_declared(m, other.products), state.logs if logs is None else logs), most)
     after = State(own, state.fixed, state.random, fit)
     absorbed, residual = other.left(fit)
+    absorbed, residual = absorbed * own_factor**2, residual * own_factor
     found, others = dict[int, float](), dict[int, float]()
     for number in (*ratios, *watched):
         there = m.units[number][2][rows]
@@ -84,6 +88,15 @@ def tried_noise(
         elif gain > m.price_of_noise and ratio > AS_OTHERS:
             others[number] = ratio
     return NoiseTrial(after.score, found, others, fit.logs)
+
+
+def _with_declared(m: Measurement, products: Products) -> Products:
+    """Return products with other weights with the squares that the declared noise counts for beside these."""
+    k, r = products.unknowns, m.system.residual
+    squares = products.squares - m.squares + float(r @ r)
+    # what the unknowns alone leave, of which the declared noise counts for a share
+    bare = squares - float(products.right[:k] @ np.linalg.solve(products.gram[:k, :k], products.right[:k]))
+    return replace(products, squares=squares + PRIOR * min(1.0, bare / max(m.system.dof, 1)))
 
 
 def _factor(measurement: Measurement, ratios: Mapping[int, float]) -> Array:
@@ -105,7 +118,6 @@ def _system_weighted(measurement: Measurement, ratios: Mapping[int, float], fact
         unweighted=measurement.unweighted or measurement,
         log_scale=measurement.log_scale + float(np.log(factor).sum()) - log_det / 2,
         held={},
-        fits={},
     )
 
 
@@ -141,14 +153,9 @@ def _weighted(family: CandidateGroup, system: Linearised, factor: Array) -> Cand
     return replace(family, columns=columns, raw=columns.norms(), gram=columns.grams(system.basis))
 
 
-def _knots(knots: Knots, system: Linearised, factor: Array) -> Knots:
+def _knots(knots: Knots, factor: Array) -> Knots:
     from scipy.sparse import diags
 
-    functions = knots.functions
-    columns = (diags(factor) @ functions.columns).tocsr()
-    gram = (columns.T @ columns).toarray() - system.basis.gram_of(columns)
-    return replace(
-        knots,
-        functions=replace(functions, columns=columns, gram=gram),
-        values=knots.values * factor[:, None],
-    )
+    columns = (diags(factor) @ knots.functions.columns).tocsr()
+    functions = replace(knots.functions, columns=columns)
+    return replace(knots, functions=functions, values=knots.values * factor[:, None])

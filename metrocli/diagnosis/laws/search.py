@@ -11,10 +11,10 @@ from dataclasses import replace
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
-from metrocli.adjust.model.observations import Index, Mask
+from metrocli.adjust.model.observations import Mask
 from metrocli.diagnosis.adjusted_job import Ordered
 from metrocli.diagnosis.evidence.gain import Gain, Held, gain_of
-from metrocli.diagnosis.evidence.held_out import Fold, Model, Train, folds_of
+from metrocli.diagnosis.evidence.held_out import Others, fold_numbers
 from metrocli.diagnosis.evidence.parts import Fixed
 from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.laws.library import Library, Term
@@ -137,9 +137,7 @@ def _bases(plain: State) -> Iterator[State]:
 
 def _gains(lawful: Lawful, base: State, ordered: Ordered) -> list[Gain]:
     """Return the held-out gain of the laws of 1, 2, ... terms; each fold has the laws that the others choose."""
-    rows = folds_of(base.measurement)
-    numbers = sorted({*rows.tolist()} - {-1})
-    pairs = [*ordered(_Folds(lawful, base, rows), numbers)]
+    pairs = [*ordered(_Folds(lawful), fold_numbers(base.measurement))]
     return [gain_of(one) for one in zip(*pairs, strict=True)]
 
 
@@ -148,33 +146,29 @@ class _Folds:
     """What is compared in each fold. It travels to other processors, so it has no more than that."""
 
     lawful: Lawful
-    base: State
-    rows: Index
-    """Fold of each row"""
 
     def __call__(self, number: int) -> list[tuple[Held, Held]]:
         """Return the predictions of a fold without and with laws of 1, 2, ... terms."""
-        state, m = self.lawful.state, self.lawful.state.measurement
-        fold = Fold(m, np.flatnonzero(self.rows == number))
-        terms = {id(part) for _, part in self.lawful.steps}
-        bare = Model(tuple(part for part in state.fixed if id(part) not in terms), state.random, state.logs)
-        before, model, pairs = fold.predicted(bare), bare, list[tuple[Held, Held]]()
+        state, gone = self.lawful.state, {id(part) for _, part in self.lawful.steps}
+        every = Others.of_fold(state, number)
+        fixed = [part for part in state.fixed if id(part) not in gone]
+        others, bare = every.keeping(fixed), len(fixed)
+        before, pairs = others.predicted(), list[tuple[Held, Held]]()
         for count in range(len(self.lawful.steps)):
             # once no term enters in a fold, no further one does there
-            if len(model.fixed) == len(bare.fixed) + count:
-                one = self._chosen(fold, model, count)
-                model = model if one is None else model.with_fixed((*model.fixed, one))
-            pairs.append((before, fold.predicted(model) if len(model.fixed) > len(bare.fixed) else before))
+            if len(fixed) == bare + count and (one := self._chosen(others, count)) is not None:
+                fixed.append(one)
+                others = every.with_fixed(fixed)
+            pairs.append((before, others.predicted() if len(fixed) > bare else before))
         return pairs
 
-    def _chosen(self, fold: Fold, model: Model, count: int) -> Fixed | None:
+    def _chosen(self, others: Others, count: int) -> Fixed | None:
         """Return the term that the other readings choose; None if they choose none."""
         lawful, library = self.lawful, self.lawful.library
-        train = Train.of(fold, model, lawful.state)
         place = lawful.terms[0].place
         best, chosen = 0.0, None
         for number, terms in enumerate(library.terms):
-            net = train.nets(number)
+            net = others.nets(number)
             if count:
                 # later terms act where the first one of the law does
                 net = np.where([term.place == place for term in terms], net, -np.inf)

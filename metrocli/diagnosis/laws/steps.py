@@ -10,7 +10,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from metrocli.diagnosis.evidence.measurement import Measurement
 from metrocli.diagnosis.evidence.parts import Fixed
 from metrocli.diagnosis.evidence.prices import Prices
 from metrocli.diagnosis.evidence.state import State
@@ -69,10 +68,8 @@ def among_terms(state: State, library: Library, needed: float = 0.0) -> Lawful |
 
 
 def _with_candidates(state: State, library: Library, prices: Prices) -> State:
-    m: Measurement = replace(
-        state.measurement, families=library.families, scatters=(), knots=(), prices=prices, held={}
-    )
-    return State.of(m, state.fixed, state.random, state.logs, 0)
+    m = replace(state.measurement, families=library.families, scatters=(), knots=(), prices=prices)
+    return replace(state, measurement=m, held={})
 
 
 def forward(lawful: Lawful, price: float, most: int = MOST_TERMS) -> Lawful:

@@ -28,6 +28,8 @@ Columns: TypeAlias = "Array | csr_matrix"
 """Columns (rows, k), sparse where most of their numbers are zero"""
 _THIN = 0.05
 """Share of numbers that are not zero below which columns are kept as a sparse matrix"""
+_THICK = 0.15
+"""Share of numbers that are not zero above which a product of columns takes less time as of a table"""
 _FEW = 0.1
 """Share of the rows with a value below which these rows are gathered"""
 _LOOKED_AT = 1000
@@ -121,17 +123,21 @@ class Basis:
         """Return `g' b b' g` of sparse columns (rows, k), (k, k): the products that the unknowns absorb."""
         shared = columns.T @ self.shared
         gram = shared @ shared.T
-        for rows in self._of_whole_members():
-            local = columns[rows].T @ self.at(rows)._sparse
-            gram += (local @ local.T).toarray()
+        for rows, own in self._by_whole_members:
+            local = columns[rows].T @ own
+            if local.nnz > _THICK * local.shape[0] * local.shape[1]:
+                local = local.toarray()
+            gram += squared(local.T)
         return np.asarray(gram)
 
-    def _of_whole_members(self) -> Iterator[Index]:
-        """Yield all rows, those of some whole members at once."""
+    @cached_property
+    def _by_whole_members(self) -> list[tuple[Index | slice, csr_matrix]]:
+        """All rows, those of some whole members at once, with their local columns."""
         order = np.argsort(self.member, kind="stable")
         # each stretch is moved back to where the member of its first row begins
         begins = np.searchsorted(self.member[order], self.member[order[::_AT_ONCE]])
-        yield from (np.sort(order[a:b]) for a, b in pairwise([*np.unique(begins), len(order)]))
+        stretches = (np.sort(order[a:b]) for a, b in pairwise([*np.unique(begins), len(order)]))
+        return [(without_gathering(rows), self.at(rows)._sparse) for rows in stretches]
 
     def growth_of_local_grams(self, rows: Index, values: Array) -> Array:
         """Return U, so that `V'U + U'V` over the last of some rows is `g' b b' g` of a column g that has only these.

@@ -16,7 +16,7 @@ import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index, Mask
-from metrocli.diagnosis.linear.basis import Basis, grams_of
+from metrocli.diagnosis.linear.basis import Basis, grams_of, without_gathering
 from metrocli.diagnosis.linear.column_parts import ColumnPart, OwnColumns, StackedColumns, StepColumns, Steps
 
 if TYPE_CHECKING:
@@ -124,7 +124,11 @@ class CandidateColumns:
         """Return the whole columns of some alternatives, (rows, alternatives, parameters)."""
         full = np.zeros((rows, len(numbers), self.parameters))
         for part, own, at in self._among(numbers):
-            full[np.ix_(part.rows, np.flatnonzero(own))] = part.dense(at)
+            place, columns = without_gathering(part.rows), without_gathering(np.flatnonzero(own))
+            if isinstance(place, slice) or isinstance(columns, slice):
+                full[place, columns] = part.dense(at)
+            else:
+                full[np.ix_(place, columns)] = part.dense(at)
         return full
 
     def grams(self, basis: Basis) -> Array:

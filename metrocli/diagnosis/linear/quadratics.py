@@ -1,4 +1,4 @@
-"""Quadratic forms `b' A^+ b` of many small systems at once, with the directions of A that are visible.
+"""Quadratic forms `b' A^+ b` of many small systems at once, and the factor of one large system.
 
 Method: docs/algorithms/what-can-be-seen.md.
 """
@@ -95,3 +95,33 @@ def orthonormalised(columns: Array, least: float) -> tuple[Array, Array]:
         if even:
             break
     return columns, turn
+
+
+def factored(gram: Array, priors: Array | float = 0.0) -> Array:
+    """Return the factor of a Gram matrix with priors on its diagonal; a column of those before it is nearly free."""
+    from scipy.linalg.lapack import dpotrf
+
+    if not len(gram):
+        return gram
+    diagonal = np.maximum(np.diag(gram) + priors, 1e-300)
+    # columns of two parts can be nearly the same: the least bump with which the factor exists changes the others least
+    bump = 1e-13
+    while bump < 1e-1:
+        factor = gram.copy()
+        factor.ravel()[:: len(gram) + 1] = diagonal * (1 + bump)
+        upper, failed = dpotrf(factor.T, overwrite_a=True)
+        if not failed:
+            return np.asarray(upper.T)
+        bump *= 100
+    raise np.linalg.LinAlgError("products of columns have no factor")
+
+
+def solved(lower: Array, right: Array) -> Array:
+    """Return `lower^-1 right` of a triangular factor (p, p) and right sides (p, ...)."""
+    from scipy.linalg.lapack import dtrtrs
+
+    if not right.size:
+        return right
+    # without the checks of `solve_triangular`, which take longer than most of these systems
+    found = dtrtrs(lower.T, right.reshape(len(right), -1), trans=True)[0]
+    return np.asarray(found.reshape(right.shape))

@@ -13,7 +13,7 @@ import pytest
 from benchmarks.hidden import images, lengths
 from benchmarks.hidden.scenes import board_scene
 from metrocli.diagnosis.evidence.gain import Held, gain_of
-from metrocli.diagnosis.evidence.held_out import Fold, Model, folds_of
+from metrocli.diagnosis.evidence.held_out import Fold, Others, folds_of
 from metrocli.diagnosis.evidence.measured_job import measurement_of
 from metrocli.diagnosis.evidence.measurement import Measurement
 from metrocli.diagnosis.evidence.parts import Fixed, Random
@@ -48,7 +48,7 @@ def number_of_effect(m: Measurement, name: str) -> int:
 
 def with_residual(m: Measurement, errors: Array) -> Measurement:
     """Return a measurement with what the unknowns leave of some errors as its residual."""
-    return replace(m, system=replace(m.system, residual=m.system.seen(errors)), held={}, fits={})
+    return replace(m, system=replace(m.system, residual=m.system.seen(errors)), held={})
 
 
 def parts(kind: str) -> tuple[list[Fixed], list[Random], list[float]]:
@@ -193,7 +193,7 @@ def test_held_out_readings_have_the_density_of_the_others(kind: str) -> None:
     rows = np.flatnonzero(folds_of(m) == 1)
     fold = Fold(m, rows)
     names = tuple(one for one in fixed if not one.is_reading)
-    held = fold.predicted(Model(names, tuple(random), np.array(logs)))
+    held = Others.of(fold, State.of(m, names, random, logs, 0)).predicted()
     v = covariance(m, random, logs)
     others = np.setdiff1d(np.arange(m.system.rows), rows)
     columns = np.concatenate([unknowns(m), *(one.columns for one in names)], axis=1)
@@ -218,7 +218,7 @@ def test_single_readings_are_predicted_with_the_variance_of_a_deleted_residual(k
     m, (fixed, random, logs) = measurement(kind), parts(kind)
     fold = Fold(m, np.arange(3, m.system.rows, 17))
     names = tuple(one for one in fixed if not one.is_reading)
-    held = fold.predicted(Model(names, tuple(random), np.array(logs)))
+    held = Others.of(fold, State.of(m, names, random, logs, 0)).predicted()
     columns = np.concatenate([unknowns(m), *(one.columns for one in names)], axis=1)
     turn, s, _ = np.linalg.svd(columns, full_matrices=False)
     p = projected(covariance(m, random, logs), turn[:, : int((s > 1e-9).sum())])
