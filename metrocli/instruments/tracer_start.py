@@ -25,6 +25,8 @@ _STILL = 1e-7
 """Relative change in a round of reweighting below which the rounds stop"""
 _ARRIVED = 1e-10
 """Step, relative to the extent of the points, below which a descent stops: a start need be no better"""
+_CREEPS = 1e-4
+"""Relative decrease of the sum of squares in a step below which a descent stops"""
 
 
 def start(points: Array, lengths: Array, absolute: bool = False, near: Array | None = None) -> Array:
@@ -146,8 +148,12 @@ def _descended(local: Array, reading: Array, guess: Array, absolute: bool, weigh
         step = np.zeros(4)
         step[: jacobian.shape[1]] = np.linalg.lstsq(normal, jacobian.T @ residual, rcond=None)[0]
         moved, by = _residual(local, reading, state + step, absolute, weights)
-        if moved @ moved <= residual @ residual:
+        before, after = residual @ residual, moved @ moved
+        if after <= before:
             state, residual, jacobian, damping = state + step, moved, by, damping / 10
+            # lengths that belong to no place lead ever farther away, and fit little better there
+            if after > (1 - _CREEPS) * before:
+                break
         else:
             damping = max(10 * damping, 1e-6)
         # beside the rounding of the residuals shorter steps are refused and tried again without end
