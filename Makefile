@@ -4,7 +4,10 @@ BIN := .venv/bin
 export OMP_NUM_THREADS ?= 1
 # Modules are compiled when they are first imported, not by pip, and once: the tests start many processes.
 unexport PYTHONDONTWRITEBYTECODE
-PYTEST := $(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
+# Assertions as they stand: to rewrite those of all tests takes each process as long as to import everything.
+# What fails runs once more, with what its assertions compare.
+PYTEST := $(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder --assert=plain
+SHOWN := || { $(BIN)/python -m pytest --last-failed --last-failed-no-failures none; false; }
 LAWS := layers words docs kinds links algorithm_pages
 QUICK := $(addprefix tests/,units settings adjust geometry formats tasks/test_small_jobs.py) $(LAWS:%=tests/laws/test_%.py)
 
@@ -20,12 +23,12 @@ demo: .venv/installed
 # For those who change the program: in a minute, whether the engine, the formats and a job of each kind still work.
 quick: .venv/installed
 	$(BIN)/ruff check
-	$(PYTEST) $(QUICK)
+	$(PYTEST) $(QUICK) $(SHOWN)
 
 # All but the slow tests, which `python -m benchmarks slow_tests` runs. Types are checked meanwhile: that takes one core.
 test: .venv/installed
 	$(BIN)/ruff check
-	@$(BIN)/mypy & types=$$!; $(PYTEST) --durations=10; tests=$$?; wait $$types && exit $$tests
+	@$(BIN)/mypy & types=$$!; $(PYTEST) --durations=10 $(SHOWN); tests=$$?; wait $$types && exit $$tests
 
 lint: .venv/installed
 	$(BIN)/ruff check
