@@ -2,7 +2,12 @@
 PYTHON ?= python3
 BIN := .venv/bin
 export OMP_NUM_THREADS ?= 1
-PYTEST := $(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
+# Modules are compiled when they are first imported, not by pip, and once: the tests start many processes.
+unexport PYTHONDONTWRITEBYTECODE
+# Assertions as they stand: to rewrite those of all tests takes each process as long as to import everything.
+# What fails runs once more, with what its assertions compare.
+PYTEST := $(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder --assert=plain
+SHOWN := || { $(BIN)/python -m pytest --last-failed --last-failed-no-failures none; false; }
 LAWS := layers words docs kinds links algorithm_pages
 QUICK := $(addprefix tests/,units settings adjust geometry formats tasks/test_small_jobs.py) $(LAWS:%=tests/laws/test_%.py)
 
@@ -18,12 +23,12 @@ demo: .venv/installed
 # For those who change the program: in a minute, whether the engine, the formats and a job of each kind still work.
 quick: .venv/installed
 	$(BIN)/ruff check
-	$(PYTEST) $(QUICK)
+	$(PYTEST) $(QUICK) $(SHOWN)
 
 # All but the slow tests, which `python -m benchmarks slow_tests` runs. Types are checked meanwhile: that takes one core.
 test: .venv/installed
 	$(BIN)/ruff check
-	@$(BIN)/mypy & types=$$!; $(PYTEST) --durations=10; tests=$$?; wait $$types && exit $$tests
+	@$(BIN)/mypy & types=$$!; $(PYTEST) --durations=10 $(SHOWN); tests=$$?; wait $$types && exit $$tests
 
 lint: .venv/installed
 	$(BIN)/ruff check
@@ -53,7 +58,9 @@ fuzz: .venv/installed
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 	  { echo "metrocli needs Python 3.11 or newer: make PYTHON=python3.12 $(MAKECMDGOALS)"; exit 1; }
 	test -x $(BIN)/python || $(PYTHON) -m venv .venv
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
+	@# the pip of older Pythons takes twice as long to choose the files; without a network it does as well
+	-$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile --upgrade pip
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes --no-compile -r requirements.lock
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
 	touch $@
 

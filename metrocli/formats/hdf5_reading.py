@@ -40,8 +40,9 @@ class _Held(dict[str, Any]):
 def content_of(label: Label, body: memoryview, shown: str) -> tuple[Result, Record]:
     """Return result and record; raise InputError if the file has anything that metrocli does not write."""
     try:
-        with _opened(body) as file:
-            result = _read_result(file, shown)
+        file, datasets = _opened(body)
+        with file:
+            result = _read_result(file, datasets, shown)
             record = _read_record(file, label)
     except (InputError, MemoryError):
         raise
@@ -58,7 +59,7 @@ def content_of(label: Label, body: memoryview, shown: str) -> tuple[Result, Reco
 def record_of(label: Label, body: memoryview, shown: str) -> Record:
     """Return only the record; raises InputError as `content_of`."""
     try:
-        with _opened(body) as file:
+        with _opened(body)[0] as file:
             return _read_record(file, label)
     except MemoryError:
         raise
@@ -66,19 +67,22 @@ def record_of(label: Label, body: memoryview, shown: str) -> Record:
         raise InputError([Fault(f"the result file is damaged: {error}", shown)]) from error
 
 
-def _opened(body: memoryview) -> h5py.File:
-    """Open an HDF5 file in memory whose objects all lie in it: no links, no external data, no size that it has not."""
+def _opened(body: memoryview) -> tuple[h5py.File, dict[str, h5py.Dataset]]:
+    """Open an HDF5 file in memory, and return its datasets by their paths.
+
+    All objects lie in it: no links, no external data, no size that it has not.
+    """
     file = h5py.File(h5py.h5f.open_file_image(body))
-    for item in _walk(file, 0, set()):
-        if isinstance(item, h5py.Dataset):
-            _refuse_unusual(item)
-    return file
+    datasets = {path: item for path, item in _walk(file, "", 0, set()) if isinstance(item, h5py.Dataset)}
+    for item in datasets.values():
+        _refuse_unusual(item)
+    return file, datasets
 
 
-def _walk(group: h5py.Group, depth: int, seen: set[int]) -> Iterator[Any]:
+def _walk(group: h5py.Group, above: str, depth: int, seen: set[int]) -> Iterator[tuple[str, Any]]:
     for name in group:
         # a link could lead to another file of this computer, which would then be part of a result
-        if not isinstance(group.get(name, getlink=True), h5py.HardLink):
+        if group.id.links.get_info(name.encode()).type != h5py.h5l.TYPE_HARD:
             raise ValueError(f"'{name}' is a link to elsewhere")
         item = group[name]
         address = h5py.h5o.get_info(item.id).addr
@@ -86,9 +90,9 @@ def _walk(group: h5py.Group, depth: int, seen: set[int]) -> Iterator[Any]:
         if address in seen or len(seen) > _MOST_OBJECTS or depth > _DEEPEST:
             raise ValueError(f"'{name}' is one object under two names, or one of too many")
         seen.add(address)
-        yield item
+        yield above + name, item
         if isinstance(item, h5py.Group):
-            yield from _walk(item, depth + 1, seen)
+            yield from _walk(item, f"{above}{name}/", depth + 1, seen)
 
 
 def _refuse_unusual(data: h5py.Dataset) -> None:
@@ -96,21 +100,22 @@ def _refuse_unusual(data: h5py.Dataset) -> None:
     stored = data.id.get_create_plist()
     if stored.get_layout() not in (h5py.h5d.COMPACT, h5py.h5d.CONTIGUOUS) or stored.get_external_count():
         raise ValueError(f"{data.name} is stored in pieces or in another file")
+    whole = data.dtype
     # a shape of 1e15 numbers takes a few bytes in the file and all memory when it is read
-    if data.shape is None or data.nbytes > data.id.get_storage_size():
+    if data.shape is None or data.size * whole.itemsize > data.id.get_storage_size():
         raise ValueError(f"{data.name} has a shape, but not the values for it")
-    types = [data.dtype[name] for name in data.dtype.names] if data.dtype.names else [data.dtype]
+    types = [whole[name] for name in whole.names] if whole.names else [whole]
     if any(
         # objects other than texts are references and the like, which lead elsewhere
         kind.kind not in "biufSO" or kind.hasobject != (h5py.check_string_dtype(kind) is not None and kind.kind == "O")
         for kind in types
     ):
         raise ValueError(f"{data.name} holds values of a type that results do not have")
-    if data.dtype.hasobject and (data.dtype.names or data.size > _MOST_TEXTS):
+    if whole.hasobject and (whole.names or data.size > _MOST_TEXTS):
         raise ValueError(f"{data.name} holds more texts than a result has")
 
 
-def _read_result(file: h5py.File, shown: str) -> Result:
+def _read_result(file: h5py.File, datasets: dict[str, h5py.Dataset], shown: str) -> Result:
     columns = _read_table(file["parameters"]).columns
     count = len(columns["name"])
     dimensions = map(str, file["parameters"].attrs.get("dimensions", [""] * count))
@@ -120,7 +125,8 @@ def _read_result(file: h5py.File, shown: str) -> Result:
     if unknown:
         raise ValueError(f"unknown dimensions of estimates: {', '.join(sorted(unknown))}")
     tables, arrays = _Held("table ", shown), _Held("array ", shown)
-    file.visititems(lambda name, item: _sort_in(name, item, tables, arrays))
+    for name, item in datasets.items():
+        _sort_in(name, item, tables, arrays)
     return Result(
         kind=_text(file, "kind"),
         title=_text(file, "title"),
@@ -148,8 +154,8 @@ def _shown_of(text: str) -> ShownTable:
     return ShownTable(name, tuple(column.strip() for column in columns.split(",")) if columns else ())
 
 
-def _sort_in(name: str, item: Any, tables: _Held, arrays: _Held) -> None:
-    if name in _OWN or name.startswith("plot/") or not isinstance(item, h5py.Dataset):
+def _sort_in(name: str, item: h5py.Dataset, tables: _Held, arrays: _Held) -> None:
+    if name in _OWN or name.startswith("plot/"):
         return
     if item.dtype.names:
         table = _read_table(item)

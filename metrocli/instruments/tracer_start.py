@@ -23,6 +23,10 @@ MOST = 2000
 """Most lengths of a tracer that its start is found from: more determine it no better than a start must be"""
 _STILL = 1e-7
 """Relative change in a round of reweighting below which the rounds stop"""
+_ARRIVED = 1e-10
+"""Step, relative to the extent of the points, below which a descent stops: a start need be no better"""
+_CREEPS = 1e-4
+"""Relative decrease of the sum of squares in a step below which a descent stops"""
 
 
 def start(points: Array, lengths: Array, absolute: bool = False, near: Array | None = None) -> Array:
@@ -145,12 +149,17 @@ def _descended(local: Array, reading: Array, guess: Array, absolute: bool, weigh
         step = np.zeros(4)
         step[: jacobian.shape[1]] = np.linalg.lstsq(normal, jacobian.T @ residual, rcond=None)[0]
         moved, by = _residual(local, reading, state + step, absolute, weights)
-        if moved @ moved <= residual @ residual:
+        before, after = residual @ residual, moved @ moved
+        if after <= before:
             state, residual, jacobian, damping = state + step, moved, by, damping / 10
-            if np.abs(step).max() < 1e-13:
+            # lengths that belong to no place lead ever farther away, and fit little better there
+            if after > (1 - _CREEPS) * before:
                 break
         else:
             damping = max(10 * damping, 1e-6)
+        # beside the rounding of the residuals shorter steps are refused and tried again without end
+        if np.abs(step).max() < _ARRIVED:
+            break
     return state
 
 

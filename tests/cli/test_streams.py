@@ -21,7 +21,12 @@ def shell(line: str, folder: Path) -> tuple[int, str]:
 
 @pytest.mark.skipif(not FULL.exists(), reason="there is no /dev/full here")
 @pytest.mark.parametrize(
-    "arguments", ["--help", "--version", "check --help", "show absent.h5 --json", "schema multilaterate"]
+    "arguments",
+    [
+        *(pytest.param(one, marks=pytest.mark.slow) for one in ("--version", "check --help", "schema multilaterate")),
+        "--help",
+        "show absent.h5 --json",
+    ],
 )
 def test_a_full_stdout_ends_with_3(arguments: str, tmp_path: Path) -> None:
     code, said = shell(f"{COMMAND} {arguments} > /dev/full", tmp_path)

@@ -58,7 +58,7 @@ def write(folder: Path, m: Measurement, times: bool = True) -> Path:
 
 def measured(name: str = "", times: float = 3.0, seed: int = 1) -> Measurement:
     rng = np.random.default_rng([8, seed])
-    m = lengths.measurement(rng, 40)
+    m = lengths.measurement(rng, 28)
     return lengths.planted(m, rng, name, times)[0] if name else m
 
 
@@ -301,7 +301,7 @@ def test_of_two_large_effects_that_are_alike_neither_takes_the_place_of_the_othe
 
 def test_a_report_says_how_far_the_shape_of_an_effect_was_checked() -> None:
     rng = np.random.default_rng(8)
-    found = diagnose(lengths.planted(lengths.measurement(rng, 60), rng, "sphere-form", 30.0)[0].adjusted())
+    found = diagnose(lengths.planted(lengths.measurement(rng, 40), rng, "sphere-form", 30.0)[0].adjusted())
     # a smooth function has more terms than the effect, so that it must be somewhat larger to be seen
     assert 0.8 / 30 < found.findings[0].other_shape_from < 2.5 / 30
     for share, words in (
@@ -381,7 +381,7 @@ def test_the_size_from_which_scales_are_told_apart_has_a_unit() -> None:
 def known(folder: Path, true: float, stated: float, seed: int = 4, name: str = "") -> Path:
     """Write a measurement whose points are known, with an error that may not be the stated one, and an effect."""
     rng = np.random.default_rng([9, seed])
-    m = lengths.measurement(rng, 50)
+    m = lengths.measurement(rng, 32)
     m = lengths.planted(m, rng, name, 5.0)[0] if name else m
     off = np.random.default_rng([10, seed]).normal(0, true, m.points.shape)
     job = write(folder, replace(m, nominal=m.points + off))

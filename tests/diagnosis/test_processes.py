@@ -167,7 +167,7 @@ def test_what_wavers_is_in_the_uncertainty_of_an_effect_beside_it() -> None:
 def test_a_drift_stands_before_an_error_of_its_tracer() -> None:
     """An error of one tracer that varies smoothly with the time explains more, and the drift is named all the same."""
     rng = np.random.default_rng([91, 2])
-    m, hidden = lengths.planted(lengths.measurement(rng, 60), rng, "tracer-drift", 1.2)
+    m, hidden = lengths.planted(lengths.measurement(rng, 40), rng, "tracer-drift", 1.2)
     found = diagnose(m.adjusted())
     (one,) = found.findings
     assert (one.effect.alternative.effect.name, one.effect.alternative.where) == ("tracer-drift", hidden.where)
@@ -213,7 +213,7 @@ def test_the_size_of_a_process_is_in_the_unit_of_the_readings_that_show_it() -> 
 
 
 def test_white_noise_has_no_process() -> None:
-    assert not diagnose(lengths.measurement(np.random.default_rng(3), 60).adjusted()).correlated_errors
+    assert not diagnose(lengths.measurement(np.random.default_rng(3), 30).adjusted()).correlated_errors
 
 
 def test_knots_add_up_to_one() -> None:

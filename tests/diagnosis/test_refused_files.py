@@ -59,6 +59,7 @@ def test_a_list_with_a_wrong_heading_is_refused(name: str, network: Path, metroc
     assert not Path("out.h5").exists()
 
 
+@pytest.mark.slow
 def test_a_mirrored_list_is_refused(network: Path, metrocli: Callable[..., object]) -> None:
     rows = [line.split(",") for line in Path("points.csv").read_text().splitlines()]
     mirrored = [rows[0], *([name, x, str(-float(y)), z] for name, x, y, z in rows[1:])]

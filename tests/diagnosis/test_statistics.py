@@ -287,7 +287,7 @@ def test_without_a_wrong_reading_the_others_explain_what_they_do_in_the_smaller_
                 np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-7)
 
 
-@pytest.mark.parametrize(("draws", "most"), [(60, 6), pytest.param(200, 14, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(("draws", "most"), [(30, 4), pytest.param(200, 14, marks=pytest.mark.slow)])
 def test_in_noise_the_levels_are_what_they_say(draws: int, most: int) -> None:
     """Of many draws of white noise as residuals, few name anything, and about as many as the level allows."""
     m, rng, named = field(), np.random.default_rng(11), 0

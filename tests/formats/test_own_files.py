@@ -24,7 +24,7 @@ pytestmark = pytest.mark.usefixtures("each_figure_once")
     [
         (("run", "--depfile", "victim.txt"), "victim.txt"),
         (("plot", "results/line.h5", "residuals", "--save", "victim.svg"), "victim.svg"),
-        (("plot", "results/line.h5", "residuals"), "results/line.residuals.svg"),
+        pytest.param(("plot", "results/line.h5", "residuals"), "results/line.residuals.svg", marks=pytest.mark.slow),
         (("report", "results/line.h5"), "results/line.html"),
         pytest.param(("report", ".", "--out", "index.html"), "index.html", marks=pytest.mark.slow),
         (("gather", "--out", "readings.csv"), "readings.csv"),

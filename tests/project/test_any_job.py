@@ -6,6 +6,7 @@ from pathlib import Path
 
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from texts import texts
 
 from metrocli.errors import InputError
 from metrocli.project.job import load
@@ -22,9 +23,7 @@ require: {sigma0: ["< 1.5", "> 0.5"]}
 output: o.h5
 """
 PIECES = st.sampled_from([": ", "\n", "  ", "[", "]", "{", "}", "- ", "'", '"', "&a", "*a", "!!x", "|", ">", "?", "#", ",", "\t", "0", "nan", "µ", "\0", "---\n", "~", "<<", "%", "\u2028", "\ufeff"])  # fmt: skip
-EDITS = st.lists(
-    st.tuples(st.integers(0, len(GOOD)), st.integers(0, 12), PIECES | st.text(max_size=4)), min_size=1, max_size=4
-)
+EDITS = st.lists(st.tuples(st.integers(0, len(GOOD)), st.integers(0, 12), PIECES | texts(4)), min_size=1, max_size=4)
 
 
 @given(EDITS)

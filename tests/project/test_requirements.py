@@ -111,7 +111,7 @@ def test_estimates_of_effects_are_known(started: Callable[[str], None], metrocli
         ("ball-cube", ()),
         ("gauge-block", ()),
         ("gear-m3d3", ()),
-        ("laboratory-effects", ()),
+        pytest.param("laboratory-effects", (), marks=pytest.mark.slow),
         ("machine-lengths", ()),
         ("xm60-launch-unit", ()),
         ("gear-m3d3", ("noise.model=structured",)),

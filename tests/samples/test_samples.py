@@ -24,11 +24,11 @@ BOUND = 3.5
 
 @pytest.fixture(scope="module")
 def spindle(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """With every eighth image of the camera alone: to find the dot in all 200 takes most of the time."""
+    """With every sixteenth image of the camera alone: to find the dot in all 200 takes most of the time."""
 
     def shortened(project: Path) -> None:
         for at, image in enumerate(sorted((project / "cmm/images").glob("*.png"))):
-            if at % 8:
+            if at % 16:
                 image.unlink()
 
     return _run("spindle-camera", tmp_path_factory, shortened)

@@ -75,8 +75,23 @@ def about(axis: int, angle: float) -> Array:
 
 
 def rot(angles: Array) -> Array:
-    """Rot = Rz Ry Rx."""
-    return about(2, angles[2]) @ about(1, angles[1]) @ about(0, angles[0])
+    """Rot = Rz Ry Rx, multiplied out."""
+    (sa, sb, sc), (ca, cb, cc) = map(math.sin, angles), map(math.cos, angles)
+    return np.array(
+        [
+            [cc * cb, cc * sb * sa - sc * ca, cc * sb * ca + sc * sa, 0.0],
+            [sc * cb, sc * sb * sa + cc * ca, sc * sb * ca - cc * sa, 0.0],
+            [-sb, cb * sa, cb * ca, 0.0],
+            [0.0, 0.0, 0.0, 1.0],
+        ]
+    )
+
+
+def placed(vector: Array, angles: Array) -> Array:
+    """Trans Rot."""
+    matrix = rot(angles)
+    matrix[:3, 3] = vector
+    return matrix
 
 
 @dataclass
@@ -106,19 +121,20 @@ class Machine:
             ]
         )
         more = np.zeros(9) if self.disturbed is None else self.disturbed(letter, position, reading)
-        small = move(errors[:3] + more[:3]) @ rot(errors[3:] + more[3:6])
+        small = placed(errors[:3] + more[:3], errors[3:] + more[3:6])
         if letter in LINEAR:
             a, b, c = (self.place(name) for name in ("A0Z", "B0Z", "C0Y"))
             along = {
-                "X": np.array([1.0, 0, 0]),
-                "Y": np.array([-np.sin(c), np.cos(c), 0]),
-                "Z": np.array([np.sin(b), -np.sin(a) * np.cos(b), np.cos(a) * np.cos(b)]),
+                "X": (1.0, 0.0, 0.0),
+                "Y": (-math.sin(c), math.cos(c), 0.0),
+                "Z": (math.sin(b), -math.sin(a) * math.cos(b), math.cos(a) * math.cos(b)),
             }[letter]
-            return move(position * along) @ small
+            small[:3, 3] += position * np.array(along)
+            return small
         axis = ROTARY.index(letter)
         off = np.array([self.place(f"E{d}0{letter}") for d in "XYZ"]) + more[6:]
         tilt = np.array([self.place(f"E{d}0{letter}") if d != letter else 0.0 for d in "ABC"])
-        frame = move(off) @ rot(tilt)
+        frame = placed(off, tilt)
         turn = about(axis, self.sense.get(letter, 1) * position + self.place(f"E{letter}0{letter}"))
         head = letter in self.kind.chain.split("b")[1]
         inner = small @ turn if head else turn @ small

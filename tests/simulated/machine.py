@@ -40,7 +40,8 @@ class Machine:
 
     def errors(self, axis: str, x: float) -> Array:
         """The six errors of an axis at a position."""
-        return np.array([np.interp(x, self.positions(axis), self.tables[f"E{d}{axis}"]) for d in "XYZABC"])
+        knots = self.positions(axis)
+        return np.array([np.interp(x, knots, self.tables[f"E{d}{axis}"]) for d in "XYZABC"])
 
     def first_order(self, p: Array, tool: Array) -> Array:
         """The displacement of the tool by the contract's formula, written out for one point."""
@@ -162,7 +163,7 @@ def settings(
 
 def reached(machine: Machine, commanded: Array, tools: Array) -> Array:
     """Where the reflector is, (n, 3)."""
-    return np.array([p + t + machine.first_order(p, t) for p, t in zip(commanded, tools, strict=True)])
+    return commanded + tools + displacements(machine, commanded, tools)
 
 
 def commands(rng: np.random.Generator, n: int) -> Array:

@@ -46,7 +46,7 @@ def seen(cells: Array, turn: float) -> tuple[npt.NDArray[np.uint8], Array]:
     return np.rint(image).astype(np.uint8), into
 
 
-@pytest.mark.parametrize("turn", [0.2, 2.0, 4.4])
+@pytest.mark.parametrize("turn", [2.0, *(pytest.param(turn, marks=pytest.mark.slow) for turn in (0.2, 4.4))])
 def test_the_grid_of_kalibr_is_found_however_it_lies(turn: float) -> None:
     image, into = seen(printed(), turn)
     found = find(GRID, image)

@@ -53,6 +53,7 @@ def test_circles_are_named_with_their_size(shown: str, declared: str) -> None:
     assert (NAMED[shown] in named) is (shown != declared), named
 
 
+@pytest.mark.slow
 @pytest.mark.alike
 @pytest.mark.parametrize("declared", ["circles", "asymmetric-circles"])
 def test_a_chessboard_is_named_where_circles_are_declared(declared: str) -> None:

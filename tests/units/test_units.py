@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from texts import texts
 
 from metrocli import units
 from metrocli.units import QuantityError, parse_quantity
@@ -83,7 +84,7 @@ def test_a_unit_there_and_back(value: float, case: tuple[str, str]) -> None:
     assert unit.inside(unit.outside(value)) == pytest.approx(value, rel=1e-14, abs=1e-12 + abs(unit.offset) * 1e-15)
 
 
-@given(st.text(max_size=20), st.sampled_from(list(units.DIMENSIONS)))
+@given(texts(20), st.sampled_from(list(units.DIMENSIONS)))
 def test_any_text_is_read_or_refused(text: str, dimension: str) -> None:
     try:
         assert math.isfinite(parse_quantity(text, dimension))

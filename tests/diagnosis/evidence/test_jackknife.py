@@ -77,6 +77,7 @@ def test_what_differs_between_images_is_in_the_uncertainty() -> None:
     assert 0.8 * variance < np.mean(stated) < 3 * variance
 
 
+@pytest.mark.slow
 def test_independent_readings_leave_it_nearly_as_it_is() -> None:
     rng = np.random.default_rng(22)
     m = measurement(NETWORK)

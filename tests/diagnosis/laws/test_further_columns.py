@@ -90,6 +90,7 @@ def test_a_cause_in_a_column_is_found_as_a_law(kind: str, form: str, metrocli: M
     assert "load" not in str([one["adds"] for one in json.loads(metrocli("diagnose", extended, "--json").out)["laws"]])
 
 
+@pytest.mark.slow
 def test_columns_without_a_cause_give_no_law(metrocli: Metrocli, tmp_path: Path) -> None:
     job, file, column = lengths(metrocli, tmp_path)
     with_cause(file, column, 0.0, "linear", 12)

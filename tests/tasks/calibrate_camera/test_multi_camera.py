@@ -341,6 +341,7 @@ def test_pinholes_that_are_fisheyes_are_named(as_pinholes: tuple[tuple[str, ...]
         assert (f"{name}: the lens is a fisheye" in ran.out) is (name in fisheyes), ran.out
 
 
+@pytest.mark.slow
 @pytest.mark.alike
 def test_a_diagnosis_names_the_fisheyes_first(as_pinholes: tuple[tuple[str, ...], Path], metrocli: Metrocli) -> None:
     fisheyes, path = as_pinholes

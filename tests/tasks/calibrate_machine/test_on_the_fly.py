@@ -298,7 +298,7 @@ def test_cells_end_where_an_axis_passes_a_knot() -> None:
 
 def test_more_points_make_the_result_more_certain_not_slower_than_linear(machine: sim.Machine, vertices: Array) -> None:
     """Ten times the points: a third of the uncertainty, and the solution itself costs the same."""
-    few, many = (sim.flight(machine, vertices, np.random.default_rng(47), spacing=spacing) for spacing in (5.0, 0.5))
+    few, many = (sim.flight(machine, vertices, np.random.default_rng(47), spacing=spacing) for spacing in (10.0, 1.0))
     results = [
         calibrate_machine.run(calibrate_machine.TASK.job(job(), path=flight.path, track=flight.track))
         for flight in (few, many)

@@ -62,6 +62,7 @@ def test_the_promised_uncertainty_is_that_of_the_measurement() -> None:
     assert min(ratios) > 0.8 and max(ratios) < 1.25
 
 
+@pytest.mark.slow
 def test_three_tools_share_the_path() -> None:
     settings = sim.settings("on-the-fly", tools=sim.THREE, knots=(7, 6, 6), noise=NOISE)
     plan = calibrate_machine.plan(calibrate_machine.TASK.job(settings))

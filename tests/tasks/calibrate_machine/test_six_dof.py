@@ -77,6 +77,7 @@ def test_squareness_from_diagonals_alone_would_be_wrong(machine: sim.Machine) ->
     assert (second**2 - first**2) / (4 * SPAN[0] * SPAN[1]) == pytest.approx(machine.squareness[2], rel=1e-3)
 
 
+@pytest.mark.slow
 def test_uncertainties_are_honest(machine: sim.Machine) -> None:
     scores, sigma0 = [], []
     for seed in range(5):

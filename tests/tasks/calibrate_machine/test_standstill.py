@@ -50,6 +50,7 @@ def test_without_noise_the_truth_comes_back(order: str, knots: tuple[int, int, i
     assert np.abs(np.array([values[name] for name in SQUARENESS_NAMES]) - machine.squareness).max() < 1e-10
 
 
+@pytest.mark.slow
 def test_uncertainties_are_honest() -> None:
     """Over 6 measurements, each of its own machine: 95 % intervals hold the truth, and none is far off."""
     inside, squares, chi = [], [], []

@@ -187,6 +187,7 @@ def test_diagnose_names_what_was_planted(job: Path, metrocli: Callable[..., obje
     assert extended.code == 0, extended.err  # type: ignore[attr-defined]
 
 
+@pytest.mark.slow
 def test_a_bad_pose_is_no_set_of_wrong_readings(job: Path, metrocli: Callable[..., object]) -> None:
     """Its distance is off by 440 standard deviations, its angles by 20: that is more than the error of one reading."""
     metrocli("simulate", job, "--out", "new", "--effect", PLANTED["bad-pose.P7"][0], "--seed", "5")

@@ -79,18 +79,18 @@ def test_distances_on_some_poses_only() -> None:
     ("n", "distances"), [(3, False), *(pytest.param(*one, marks=pytest.mark.slow) for one in ((5, True), (20, False)))]
 )
 def test_the_covariance_is_honest(n: int, distances: bool) -> None:
-    """75 draws: chi-square of the error in the stated covariance, and sigma0, are as they should be."""
+    """40 draws: chi-square of the error in the stated covariance, and sigma0, are as they should be."""
     # draws of its own: those of a shared generator depend on which tests ran before, and one order in some hundred fails
     exact, rng = anywhere(n, 11, distances), np.random.default_rng([31, n])
     squares, sigma0 = [], []
-    for _ in range(75):
+    for _ in range(40):
         result = located(exact.noisy(rng))
         error = off(result, exact.truth)
         squares.append(error @ np.linalg.solve(result.covariance, error))
         sigma0.append(result.statistics["sigma0"])
-    # 75 draws of chi-square with 4 degrees of freedom: mean 4 +- 0.33; sigma0^2 with 8 of them 1 +- 0.058
-    assert np.mean(squares) == pytest.approx(4, abs=0.98)
-    assert np.mean(np.square(sigma0)) == pytest.approx(1, abs=0.18)
+    # 40 draws of chi-square with 4 degrees of freedom: mean 4 +- 0.45; sigma0^2 with 8 of them 1 +- 0.079
+    assert np.mean(squares) == pytest.approx(4, abs=1.35)
+    assert np.mean(np.square(sigma0)) == pytest.approx(1, abs=0.24)
 
 
 @pytest.mark.alike
@@ -157,8 +157,8 @@ def test_outliers_are_named() -> None:
 
 
 def test_readings_without_fault_raise_no_alarm() -> None:
-    named = sum(len(located(anywhere(15, 500 + seed, True).noisy(RNG)).tables["outliers"]) > 0 for seed in range(40))
-    assert named <= 6  # 5 % of 40 and what chance adds
+    named = sum(len(located(anywhere(15, 500 + seed, True).noisy(RNG)).tables["outliers"]) > 0 for seed in range(20))
+    assert named <= 4  # 5 % of 20 and what chance adds
 
 
 def test_receivers_whose_place_is_uncertain() -> None:

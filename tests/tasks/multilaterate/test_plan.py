@@ -179,7 +179,7 @@ def test_the_best_place_for_one_more_tracer_is_as_good_as_told() -> None:
     for row in (0, -1):
         tracers = np.vstack([net.tracers, table.stacked("xyz")[row]])
         errors = []
-        for _ in range(12):
+        for _ in range(8):
             more = replace(net, tracers=tracers, dead=np.append(net.dead, 300.0), scale=np.ones(5)).read(rng)
             result = multilaterate.run(multilaterate.TASK.job(settings(), more.lengths(), more.point_table()))
             errors.append(without_motion(places(result.tables["points"]), net.points) - net.points)

@@ -10,6 +10,7 @@ import yaml
 
 from metrocli.cli.commands import run
 from metrocli.formats import hdf5
+from metrocli.record import Record
 from metrocli.result import Result
 
 
@@ -18,15 +19,19 @@ class Ran:
     """What came out of a job."""
 
     code: int
-    result: Result | None
+    read: tuple[Result, Record] | None
     path: Path
+
+    @property
+    def result(self) -> Result | None:
+        return self.read and self.read[0]
 
     def details(self, name: str) -> dict[str, Any]:
         """Everything that the summary says of a measurand."""
         from metrocli.cli.summary import summary
 
-        assert self.result is not None
-        return dict(summary(*hdf5.read(self.path), self.path)["estimates"][name])
+        assert self.read is not None
+        return dict(summary(*self.read, self.path)["estimates"][name])
 
 
 def write(folder: Path, job: dict[str, Any], name: str = "job") -> Path:
@@ -42,4 +47,4 @@ def carry_out(folder: Path, job: dict[str, Any], name: str = "job", *options: st
     path = write(folder, job, name)
     code = run(["report-uncertainty", str(path), "--quiet", *options])
     output = folder / f"{name}.h5"
-    return Ran(code, hdf5.read(output)[0] if output.is_file() else None, output)
+    return Ran(code, hdf5.read(output) if output.is_file() else None, output)
