@@ -67,7 +67,7 @@ def test_what_the_unknowns_absorb_of_its_size_is_stated() -> None:
         apart = np.sqrt(3) * basis.distances / own.length
         root = np.linalg.cholesky((1 + apart) * np.exp(-apart) + 1e-9 * np.eye(len(apart)))
         drawn = np.kron(np.eye(len(basis.units)), root) @ np.random.default_rng(seed).normal(
-            size=(len(basis.gram), 300)
+            size=(basis.columns.shape[1], 300)
         )
         error = basis.columns @ drawn
         left = np.sqrt((system.seen(error) ** 2).sum() / (error**2).sum())

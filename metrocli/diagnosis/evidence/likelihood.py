@@ -205,7 +205,7 @@ def fit_at(products: Products, logs: Array) -> Fit:
         own = products.own * (scale[:, None] * scale) + np.eye(len(scale))
         lower = np.linalg.cholesky(own)
         log_det += 2 * float(np.log(np.einsum("mkk->mk", lower)).sum())
-        half = np.stack([dtrtri(one, lower=True)[0] for one in lower])
+        half = np.stack([dtrtri(one.T)[0].T for one in lower])
         shown = (half * scale) @ products.mixed
         flat = shown.reshape(-1, p + 1)
         taken = flat.T @ flat

@@ -18,16 +18,11 @@ from metrocli.diagnosis.evidence.parts import Fixed, Random
 from metrocli.diagnosis.linear.basis import Columns
 
 
-def within(m: Measurement, columns: Array) -> Array:
-    """Return columns (rows, k) without what the local unknowns absorb."""
-    basis = m.system.basis.of_members
-    return columns - basis.combined(basis.coordinates(columns)) if basis.members else columns
-
-
 def without_local(m: Measurement, key: object, columns: Array) -> Array:
     """Return columns (rows, k) without what local unknowns absorb, computed once for each key."""
     if key not in m.held:
-        m.held[key] = within(m, columns)
+        basis = m.system.basis.of_members
+        m.held[key] = columns - basis.combined(basis.coordinates(columns)) if basis.members else columns
     return m.held[key]
 
 

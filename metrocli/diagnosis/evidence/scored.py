@@ -235,8 +235,3 @@ def remade(m: Measurement, part: Random) -> Random:
     return (
         m.scatter(part.key[0]) if part.kind == SCATTER else m.correlated(part.key[0], LENGTHS[part.key[1]], part.key[2])
     )
-
-
-def at_sizes(state: Scored, logs: Array) -> Fit:
-    """Return the fit of a state at other sizes of its random parts."""
-    return fit_at(state.fit.products, logs)

@@ -10,10 +10,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from metrocli.diagnosis.evidence.likelihood import fit_at
 from metrocli.diagnosis.evidence.moves import ALIKE, Move, effects, moves, readings
 from metrocli.diagnosis.evidence.parts import CORRELATED, Fixed, Random
 from metrocli.diagnosis.evidence.refined import refined
-from metrocli.diagnosis.evidence.scored import at_sizes
 from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.evidence.weights import with_noise
 from metrocli.diagnosis.noise import AS_OTHERS
@@ -226,4 +226,5 @@ def _quick(state: State, number: int) -> float:
     logs = state.logs.copy()
     # e^-25 of the noise: as good as left out, and the products stay as they are
     logs[number] = -25.0
-    return state.score - replace(state, fit=at_sizes(state, logs), held={}).score - state.random[number].price
+    less = replace(state, fit=fit_at(state.fit.products, logs), held={})
+    return state.score - less.score - state.random[number].price

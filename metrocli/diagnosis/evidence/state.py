@@ -53,7 +53,8 @@ class State(Scored):
     @cached_property
     def entered(self) -> Array:
         """Columns v beside the unknowns: `P = M - v v'` is left; those of all that is shared beside members' errors."""
-        m, x = self.measurement, np.concatenate([np.zeros((self.measurement.system.rows, 0)), *self._columns], axis=1)
+        m = self.measurement
+        x = np.concatenate([np.zeros((m.system.rows, 0)), *(one for _, one in self.parts)], axis=1)
         if not self.members_are_free:
             errors, (order, begins) = self._by_members, m.by_member
             for shown, some in zip(self.fit.shown, (order[a:b] for a, b in pairwise(begins)), strict=True):
@@ -65,10 +66,6 @@ class State(Scored):
     def parts(self) -> list[tuple[object, Array]]:
         """What is shared and entered, with its keys, free of the unknowns unless members have errors."""
         return shared_parts(self.measurement, self.fixed, self.random, not self.members_are_free)
-
-    @property
-    def _columns(self) -> list[Array]:
-        return [one for _, one in self.parts]
 
     @cached_property
     def basis(self) -> Basis:
@@ -85,8 +82,8 @@ class State(Scored):
     @cached_property
     def residual(self) -> Array:
         """What the state leaves of the residual, `P r` (rows,)."""
-        sizes, ends = self.fit.sizes, np.cumsum([column.shape[1] for column in self._columns])
-        taken = (x @ sizes[b - x.shape[1] : b] for x, b in zip(self._columns, ends, strict=True))
+        sizes, ends = self.fit.sizes, np.cumsum([x.shape[1] for _, x in self.parts])
+        taken = (x @ sizes[b - x.shape[1] : b] for (_, x), b in zip(self.parts, ends, strict=True))
         left = self.measurement.system.residual - sum(taken)
         if not self.members_are_free:
             shown = self.fit.shown
@@ -99,16 +96,11 @@ class State(Scored):
         """Whether no errors of single members are in it, so that products with the columns since entered suffice."""
         return not any(part.local for part in self.random)
 
-    def within(self, name: object, columns: Callable[[Array], Array], held: dict[object, Array] | None = None) -> Array:
-        """Return `v'columns` (k, ...), where no member has errors, by the products of columns with others (rows, p).
-
-        The products with each part are computed once for a name of the columns in a cache, the measurement's unless
-        another is given.
-        """
-        return solved(self.fit.lower, self._with_parts(name, columns, self.measurement.held if held is None else held))
-
     def _with_parts(self, name: object, columns: Callable[[Array], Array], held: dict[object, Array]) -> Array:
-        """Return the products of what is shared with some columns, (p, ...)."""
+        """Return the products of what is shared with columns of a name, (p, ...), by those with others (rows, k).
+
+        Those with each part are computed once in a cache.
+        """
         new = [(key, x) for key, x in self.parts if ("within", name, key) not in held]
         found = {key: held["within", name, key] for key, _ in self.parts if ("within", name, key) in held}
         if new or not found:
@@ -196,7 +188,7 @@ class State(Scored):
     def _of_columns(self, family: int) -> Array:
         """Return what entered along the columns of a family, (k, alternatives, parameters)."""
         columns, held = self.measurement.families[family].columns, self.measurement.held_of_families
-        return self.within(family, lambda x: columns.products(x).transpose(2, 0, 1), held)
+        return solved(self.fit.lower, self._with_parts(family, lambda x: columns.products(x).transpose(2, 0, 1), held))
 
     @cached_property
     def _along(self) -> Array:
@@ -214,7 +206,7 @@ class State(Scored):
             return np.asarray(columns.T @ x).T
 
         if self.members_are_free:
-            return self.within(name, products, held)
+            return solved(self.fit.lower, self._with_parts(name, products, held))
         p, scale = len(self.fit.lower), np.exp(self.logs[self.fit.products.of_local] / 2)
         errors = (self.fit.half * scale) @ products_of_members(self.measurement, self.random, (name, columns), held)
         flat = errors.reshape(-1, errors.shape[2])

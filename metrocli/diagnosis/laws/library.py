@@ -43,7 +43,9 @@ _SEED = 17
 _EFFECT = Effect("law", "", (Parameter("size"),))
 
 
-Where = tuple[tuple[str, str], ...]
+Place = tuple[str, str]
+"""Kind of place and its name"""
+Where = tuple[Place, ...]
 
 
 @dataclass(frozen=True)
@@ -103,10 +105,14 @@ class _Carrier:
 
 
 class Library:
-    """All terms for a job about a linearised system."""
+    """The terms for a job about a linearised system: of all readings, and of single places, all of them or some."""
 
-    def __init__(self, job: AdjustedJob, system: Linearised) -> None:
+    def __init__(self, job: AdjustedJob, system: Linearised, places: Collection[Place] | None = None) -> None:
         self.job, self.system = job, system
+        every = {place for acting in job.places for place in _places(job, acting)}
+        self.places = frozenset(every if places is None else places)
+        """Kinds and names of the places where terms may act"""
+        self._parts: list[Library] = []
         self.terms: list[tuple[Term, ...]] = []
         """The terms of each family, in the order of its alternatives"""
         self.numbers = count(1_000_000)
@@ -114,7 +120,15 @@ class Library:
 
     @cached_property
     def _carriers(self) -> list[_Carrier]:
-        return list(_carriers(self.job, self.system))
+        return list(_carriers(self.job, self.system, self.places))
+
+    def at(self, places: Collection[Place]) -> Library:
+        """Return the terms of all readings and of some places at least."""
+        found = next((one for one in (*self._parts, self) if one.places.issuperset(places)), self)
+        if found is self and self.places.difference(places):
+            found = Library(self.job, self.system, places)
+            self._parts.append(found)
+        return found
 
     @cached_property
     def families(self) -> tuple[CandidateGroup, ...]:
@@ -183,7 +197,13 @@ def _kind_of(form: TermForm) -> tuple[str, int]:
     return form.kind, len(form.factors)
 
 
-def _carriers(job: AdjustedJob, system: Linearised) -> Iterator[_Carrier]:
+def _places(job: AdjustedJob, acting: Acting) -> Iterator[Place]:
+    for key in acting.where:
+        if key in job.units and len(job.model.places[key].names) <= _MOST_PLACES:
+            yield from ((key, name) for name in job.model.places[key].names)
+
+
+def _carriers(job: AdjustedJob, system: Linearised, places: Collection[Place]) -> Iterator[_Carrier]:
     columns: list[Array] = []
     for acting in job.places:
         whole, values = _at(job, system, acting)
@@ -194,25 +214,10 @@ def _carriers(job: AdjustedJob, system: Linearised) -> Iterator[_Carrier]:
                 continue
             columns.append(change)
             yield _Carrier.of(Spot(acting, name, ()), change, values)
-            for key in acting.where:
-                if key in job.units:
-                    yield from _at_places(job, system, Spot(acting, name, ()), key, change, values)
-
-
-def _at_places(
-    job: AdjustedJob, system: Linearised, spot: Spot, key: str, change: Array, values: dict[str, Array]
-) -> Iterator[_Carrier]:
-    place = job.model.places[key]
-    if len(place.names) > _MOST_PLACES:
-        return
-    for number, name in enumerate(place.names):
-        mask = np.zeros(system.rows)
-        for group in job.model.readings:
-            index = group.observations.index.get(place.index)
-            if index is not None:
-                mask += system.spread(group, (index == number).astype(float))
-        if (mask * change).any():
-            yield _Carrier.of(replace(spot, where=((key, name),)), change * mask, values)
+            for where in (place for place in _places(job, acting) if place in places):
+                own = change * system.rows_at(dict([where]))
+                if own.any():
+                    yield _Carrier.of(Spot(acting, name, (where,)), own, values)
 
 
 def _alike(change: Array, earlier: Sequence[Array]) -> bool:

@@ -10,10 +10,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from metrocli.diagnosis.evidence.held_out import Fold, Others
 from metrocli.diagnosis.evidence.parts import Fixed
 from metrocli.diagnosis.evidence.prices import Prices
 from metrocli.diagnosis.evidence.state import State
-from metrocli.diagnosis.laws.library import Library, Term, Where
+from metrocli.diagnosis.laws.library import Library, Place, Term, Where
 from metrocli.diagnosis.laws.terms import STEPS
 from metrocli.diagnosis.linear.basis import grams_of
 from metrocli.diagnosis.linear.counting import LEAST_TESTS
@@ -56,15 +57,40 @@ def among_terms(state: State, library: Library, needed: float = 0.0) -> Lawful |
 
     Further terms seldom gain more than the first.
     """
-    m = state.measurement
-    # the least prices that there can be: the true ones take a count of
-    # independent tests, which costs more than this look
-    plain = Prices(tuple(LEAST_TESTS for _ in library.families) + (1.0,), m.prices.dof)
-    tried = _with_candidates(state, library, plain)
-    nets = (np.subtract(*tried.gains_of_family(i)[:2]).max(initial=-np.inf) for i in range(len(library.families)))
-    if not library.families or max(nets) < max(-_NEAR, needed / MOST_TERMS - _NEAR):
+    least = max(-_NEAR, needed / MOST_TERMS - _NEAR)
+    # nearly all terms act at one place of many: those where no term can gain enough are not looked at
+    looked_at = library.at(_places(state, library, least))
+    if _most_of(state, looked_at) < least or (looked_at is not library and _most_of(state, library) < least):
         return None
     return Lawful(_with_candidates(state, library, library.prices), library)
+
+
+def _most_of(state: State, library: Library) -> float:
+    """Return the largest net gain of a term, at the least prices that there can be.
+
+    The true ones take a count of independent tests, which costs more than this look.
+    """
+    plain = Prices(tuple(LEAST_TESTS for _ in library.families) + (1.0,), state.measurement.prices.dof)
+    tried = _with_candidates(state, library, plain)
+    nets = (np.subtract(*tried.gains_of_family(i)[:2]).max(initial=-np.inf) for i in range(len(library.families)))
+    return float(max(nets, default=-np.inf))
+
+
+def _places(state: State, library: Library, least: float) -> list[Place]:
+    """Return the places where a term may gain the least.
+
+    What changes the readings of a place alone explains at most what leaving these out does.
+    """
+    if least <= 0:
+        return [*library.places]
+    found, system = [], state.measurement.system
+    for where in sorted(library.places):
+        rows = np.flatnonzero(system.rows_at(dict([where])))
+        if len(rows):
+            others = Others.of(Fold(state.measurement, rows), state)
+            if state.freedoms / 2 * np.log(state.fit.squares / others.fit.squares) >= least:
+                found.append(where)
+    return found
 
 
 def _with_candidates(state: State, library: Library, prices: Prices) -> State:

@@ -181,10 +181,6 @@ class Basis:
         there = (rows >= 0)[..., :, None] & (others >= 0)[..., None, :]
         return np.where(there, np.where(same, local, 0.0) + shared, 0.0)
 
-    def with_shared(self, columns: Array) -> Basis:
-        """Return the basis with further orthonormal columns (rows, k)."""
-        return replace(self, shared=np.concatenate([self.shared, columns], axis=1)) if columns.shape[1] else self
-
     def weighted(self, factor: Array) -> tuple[Basis, float]:
         """Return the basis of columns whose rows are multiplied by a factor (rows,), and ln of the determinant.
 

@@ -10,7 +10,7 @@ Method: docs/algorithms/what-can-be-seen.md.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import field, replace
+from dataclasses import field
 from functools import cached_property
 
 import numpy as np
@@ -133,11 +133,6 @@ class Linearised:
         left = values - self.basis.combined(inside)
         shown = np.linalg.norm(left, axis=0) > VISIBLE * np.linalg.norm(values, axis=0)
         return np.asarray(np.where(shown, left, 0.0)), inside
-
-    def with_unknowns(self, columns: Array) -> Linearised:
-        """Return the system with further unknowns of orthonormal visible columns (rows, k)."""
-        left = self.residual - columns @ (columns.T @ self.residual)
-        return replace(self, basis=self.basis.with_shared(columns), residual=left)
 
     def is_local(self, block: str) -> bool:
         """Return whether the unknowns of a block are removed member by member."""
