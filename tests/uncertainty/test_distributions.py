@@ -129,7 +129,7 @@ def test_a_zero_variance_within_a_block_stays_zero() -> None:
 
 @pytest.mark.parametrize("dof", [0.4, 1.0, 1.7, 5, 24, 300.0, 1e9])
 def test_draws_of_t_have_its_distribution_also_in_the_tails(dof: float) -> None:
-    count, rng = 400_000, np.random.Generator(np.random.SFC64(3))
+    count, rng = 1_000_000, np.random.Generator(np.random.SFC64(3))
     p = np.sort(stdtr(dof, shapes.StudentT(1.0, dof).draw(rng, count)))
     steps = np.arange(count + 1) / count
     apart = max((steps[1:] - p).max(), (p - steps[:-1]).max())
