@@ -59,7 +59,7 @@ fuzz: .venv/installed
 	  { echo "metrocli needs Python 3.11 or newer: make PYTHON=python3.12 $(MAKECMDGOALS)"; exit 1; }
 	test -x $(BIN)/python || $(PYTHON) -m venv .venv
 	@# the pip of older Pythons takes twice as long to choose the files; without a network it does as well
-	-$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile --upgrade pip
+	-$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile pip==26.3
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes --no-compile -r requirements.lock
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
 	touch $@
