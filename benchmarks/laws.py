@@ -20,6 +20,10 @@ from metrocli.project.job import load
 CASES = Path(__file__).parents[2] / "shared" / "cases" / "laws"
 
 
+KNOWN = {"direction": "straightness-reversal"}
+"""Forms of the cases that the catalogue has"""
+
+
 def folders() -> list[Path]:
     """Return the cases in the order of their numbers; none where they are absent."""
     return [folder for folder in sorted(CASES.glob("*")) if (folder / "truth.json").is_file()]
@@ -31,6 +35,8 @@ def faults(diagnosis: Diagnosis, truth: dict[str, Any]) -> list[str]:
     if not truth["effects"]:
         return [] if diagnosis.verdict is Verdict.CLEAN and law is None else [f"verdict {diagnosis.verdict}, not clean"]
     (planted,) = truth["effects"]
+    if {finding.effect.alternative.effect.name for finding in diagnosis.findings} == {KNOWN.get(truth["form"])}:
+        return [] if diagnosis.verdict is Verdict.EXPLAINED else [f"verdict {diagnosis.verdict}, not explained"]
     found = [] if diagnosis.verdict is Verdict.UNEXPLAINED else [f"verdict {diagnosis.verdict}, not unexplained"]
     if law is None:
         return [*found, "no law"]

@@ -194,7 +194,7 @@ def _other_shape_from(state: State, name: IdentifiedEffect, noise: float) -> flo
 
     m = state.measurement
     # without the last count, that of single readings: these are no other shape of an effect
-    least = noncentrality(single_level(0.03, max(m.prices.tests[:-1], default=1.0)), 2, max(m.system.dof - 2, 1))
+    least = noncentrality(single_level(LEVEL, max(m.prices.tests[:-1], default=1.0)), 2, max(m.system.dof - 2, 1))
     return float(np.sqrt(least) * noise / max(name.shows, 1e-300))
 
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Mask
+from metrocli.adjust.robust import SAME
 from metrocli.diagnosis.adjusted_job import Ordered
 from metrocli.diagnosis.evidence.gain import Gain, Held, gain_of
 from metrocli.diagnosis.evidence.held_out import Others, fold_numbers
@@ -124,9 +125,10 @@ def with_laws(state: State, plain: State, ordered: Ordered = map) -> LawSearchRe
 
 
 def _is_named(law: Law, state: State) -> bool:
-    """Return whether a law is nearly an identified effect: a part of its parameters that needs fewer of them."""
+    """Return whether a law is an identified effect: a part of its parameters, which needs fewer of them."""
     spots = {state.measurement.alternative(part.key).spot for part in state.named}
-    return any(effect.spot in spots for effect, _ in law.near)
+    # no less alike: a jump is like a saturation by 0.9, and explains far less
+    return any(effect.spot in spots and cosine > SAME for effect, cosine in law.near)
 
 
 def _bases(plain: State) -> Iterator[State]:

@@ -40,7 +40,7 @@ from metrocli.project import yaml_text
 from metrocli.tasks import KINDS
 
 TASK = KINDS["multilaterate"].task()
-PERIOD, SIZE = 410.0, 0.0012
+PERIOD, SIZE, TAU = 410.0, 0.0012, 300.0
 
 
 def test_the_columns_of_every_form_are_those_of_its_text() -> None:
@@ -66,15 +66,18 @@ def test_the_columns_of_every_form_are_those_of_its_text() -> None:
     }  # fmt: skip
 
 
-def diagnosed(size: float, seed: int, attended: Attended = no_interrupt, ordered: Ordered = map) -> Diagnosis:
-    """A network whose tracer T2 reads lengths with a wave in X of its points; plain formulas."""
+def diagnosed(
+    size: float, seed: int, attended: Attended = no_interrupt, ordered: Ordered = map, settling: float = 0.0
+) -> Diagnosis:
+    """A network whose tracer T2 reads lengths with a wave in X of its points, or settles; plain formulas."""
     rng = np.random.default_rng(seed)
     net = simulated_lengths.network(40, 5).read(rng)
-    wave = np.zeros_like(net.readings)
-    wave[:, 2] = size * np.sin(2 * np.pi * net.nominal[:, 0] / PERIOD + 0.4)
-    net = replace(net, readings=net.readings + wave)
+    error, t = np.zeros_like(net.readings), 20.0 * np.arange(net.readings.size)
+    error[:, 2] = size * np.sin(2 * np.pi * net.nominal[:, 0] / PERIOD + 0.4)
+    error[:, 2] += settling * (1 - np.exp(-t.reshape(error.shape)[:, 2] / TAU))
+    net = replace(net, readings=net.readings + error)
     table = net.lengths()
-    table = replace(table, columns={**table.columns, "t": np.arange(len(table)) * 20.0})
+    table = replace(table, columns={**table.columns, "t": t})
     job = TASK.job(simulated_lengths.settings(), lengths=table, points=net.point_table(), tracers=net.tracer_table())
     return diagnose(replace(TASK.diagnosed(job), places=TASK.places), attended=attended, ordered=ordered)
 
@@ -98,6 +101,15 @@ def test_a_wave_of_one_tracer_is_found_with_its_period_and_size(found: Diagnosis
     spread = max(std for _, std, _ in texts.parameters.values())
     assert abs(amplitude - SIZE) < 4 * spread
     assert law.gain.shown and law.part_of_structure > 0.9 and law.p_value < 1e-3
+
+
+def test_what_settles_is_no_jump_although_it_is_much_like_one() -> None:
+    """The law explains far more than a jump with a correlated error does, so it replaces them."""
+    settled = diagnosed(0.0, 24, settling=3 * SIZE)
+    assert settled.law is not None and not settled.findings
+    (term,) = settled.law.terms
+    assert (term.form.kind, term.form.variables, term.spot.where) == ("saturations", ("t",), (("tracer", "T2"),))
+    assert ("dead-path-jump", "T2") in [(effect.effect.name, *effect.instance) for effect, _ in settled.law.near]
 
 
 def test_a_column_of_the_data_keeps_its_name_beside_those_of_a_law(found: Diagnosis) -> None:
