@@ -70,6 +70,11 @@ class DetectableCandidate:
     """Whether its evidence would name it, which held-out readings did not confirm"""
 
     @property
+    def absorbers(self) -> str:
+        """The unknowns that absorb it, in words."""
+        return ", ".join(self.absorbed_by) or "the unknowns"
+
+    @property
     def testable(self) -> bool:
         """Whether any part of it is visible."""
         return bool(np.isfinite(self.detectable))
@@ -186,7 +191,8 @@ def _candidate(state: State, family: int, chosen: Sequence[int], noise: float) -
     power = {int(q): needed(m, family, int(q), POWER) * noise**2 if q else 0.0 for q in np.unique(ranks)}
     # where even usual sizes stay unseen, the change is that of the size found with 95 % power
     # `size` is that of 80 % power, and sizes go with the root of the non-centrality
-    unseen = size * np.sqrt(power[rank] / needed(m, family, rank)) / noise if rank else 0.0
+    # one that is never found, whatever its size, is at most as large as usual ones
+    unseen = size * np.sqrt(power[rank] / needed(m, family, rank)) / noise if np.isfinite(size) else 0.0
     assumed = max(alternative.effect.plausible, unseen)
     farthest = np.sqrt(own.columns.parameters) * assumed / alternative.effect.plausible
     reach = np.array([(power[q], farthest) for q in ranks.tolist()])

@@ -24,7 +24,7 @@ from metrocli.diagnosis.evidence.prices import LEVEL
 from metrocli.diagnosis.evidence.scored import remade
 from metrocli.diagnosis.evidence.search import pruned
 from metrocli.diagnosis.evidence.state import State
-from metrocli.diagnosis.explanations import correlated_errors, noise_instead, random_effects, smooth, with_shown
+from metrocli.diagnosis.explanations import correlated_errors, noise_instead, random_effects, smooth, with_confirmed
 from metrocli.diagnosis.extended_fit import extended_fit, readings_kept, result_changes, sizes
 from metrocli.diagnosis.findings import Diagnosis, Finding, Unconfirmed
 from metrocli.diagnosis.laws.search import Law, with_laws
@@ -101,7 +101,7 @@ def diagnose(
         outliers=wrong_readings(state),
         findings=tuple(_findings(state, zip(names, gained, shifts, strict=False), noise.ratio)),
         # the last gain is that of all names together
-        left=_left(state, correlated, laws, repeats, whole or gained[-1] if names else whole),
+        left=_left(state, correlated, laws, repeats, whole or gained[-1] if names else whole, unconfirmed),
         before=strongest(first),
         after=strongest(state),
         design=Detectability((), (), ()) if quick else design(state, noise.ratio),
@@ -125,20 +125,20 @@ def _confirmed(
 ) -> tuple[State, tuple[IdentifiedEffect, ...], list[Gain], tuple[Unconfirmed, ...]]:
     """Return the state without what held-out readings speak against, its effects with their gains, and what it lost.
 
-    An effect stays while the log score of held-out readings is positive. A smooth effect, which fits whatever readings
-    share, stays where its gain is shown. Effects whose sizes may be nothing leave one by one.
+    An effect stays while the log score of held-out readings is positive. Effects whose sizes may be nothing leave one
+    by one.
     """
-    state, lost = with_shown(state)
+    state, lost = with_confirmed(state)
     while True:
         names = all_identified(state) if quick else with_jackknife(state, all_identified(state))
         gained = gains(state, names, ordered, nested=not quick) if names else []
         judged = list(zip(state.named, names, gained, strict=False))
-        against = [one for one in judged if one[2].log_score <= 0]
+        against = [(part, name, gain) for part, name, gain in judged if gain.log_score <= 0]
         if not against:
             unsure = least_sure(state, names)
             if unsure is None:
                 return state, names, gained, tuple(lost)
-            against = [one for one in judged if one[0] is unsure]
+            against = [(part, name, gain) for part, name, gain in judged if part is unsure]
         lost += [Unconfirmed(str(name.alternative), gain.log_score, name.level_of_size) for _, name, gain in against]
         state = state.minus([part for part, _, _ in against])
 
@@ -204,6 +204,7 @@ def _left(
     laws: Sequence[Law],
     repeats: PureError | None,
     gain: Gain | None,
+    unconfirmed: Sequence[Unconfirmed],
 ) -> RemainingStructure | None:
     """Return what no identified effect explains: a law, a correlated error, or what repeated readings share.
 
@@ -246,8 +247,11 @@ def _left(
         )
     if repeats is not None and repeats.lack_of_fit < _LACK_OF_FIT:
         return RemainingStructure(repeats.lack_of_fit, (REPEATS,))
-    if job.budget.ended and (level := strongest(state)) < LEVEL:
-        return RemainingStructure(level, ("what the search did not reach",))
+    # what is not named is not explained: few images confirm nothing, however much they show
+    against = [effect.name for effect in unconfirmed if effect.log_score <= 0]
+    if (against or job.budget.ended) and (level := strongest(state)) < LEVEL:
+        unnamed = f"what held-out readings do not confirm ({', '.join(against)})"
+        return RemainingStructure(level, (unnamed if against else "what the search did not reach",))
     return None
 
 

@@ -163,13 +163,15 @@ def _visible(state: State, part: Random) -> float:
     return float(np.sqrt(max(1 - inside / max(whole, 1e-300), 0.0)))
 
 
-def with_shown(state: State) -> tuple[State, list[Unconfirmed]]:
-    """Return the state without smooth effects whose gain held-out readings do not show, and these."""
+def with_confirmed(state: State) -> tuple[State, list[Unconfirmed]]:
+    """Return the state without the effects at all their places that held-out readings do not confirm, and these.
+
+    A smooth one fits whatever readings share, so that its gain has to be shown.
+    """
     lost: list[Unconfirmed] = []
-    for number in smooth(state):
-        part = state.random[number]
-        if not (gain := gain_of_parts(state, [part])).shown:
-            effect = _effect_of(state, part)
+    for part in (part for part in state.random if part.kind == SCATTER):
+        gain, effect = gain_of_parts(state, [part]), _effect_of(state, part)
+        if not (gain.shown if effect.is_smooth else gain.log_score > 0):
             lost.append(Unconfirmed(f"{effect.name} {effect.everywhere}", gain.log_score))
             state = state.minus([part])
     return state, lost

@@ -111,7 +111,7 @@ def reason(candidate: DetectableCandidate, word: str, structure: Sequence[str] =
     parameter = effect.parameters[0]
     plausible, at = parameter.readable(candidate.plausible)
     if word == Status.NOT_TESTABLE:
-        return f"absorbed by {', '.join(candidate.absorbed_by)}; `undetected` is for {plausible:.3g} {at}".rstrip()
+        return f"absorbed by {candidate.absorbers}; `undetected` is for {plausible:.3g} {at}".rstrip()
     if word == Status.NOT_DECIDED and candidate.required:
         return "its evidence would name it, but held-out readings do not confirm it or what stands for it"
     if word == Status.NOT_DECIDED:

@@ -544,7 +544,9 @@ def test_with_four_tracers_a_wrong_length_cannot_be_identified(folder: Path, met
 
 
 def test_with_six_tracers_a_wrong_length_is_identified(folder: Path, metrocli: Metrocli) -> None:
-    (wrong,) = json.loads(metrocli("diagnose", with_wrong_length(folder, 6, "P7", "T2"), "--quick", "--json").out)["outliers"]
+    (wrong,) = json.loads(metrocli("diagnose", with_wrong_length(folder, 6, "P7", "T2"), "--quick", "--json").out)[
+        "outliers"
+    ]
     assert (wrong["observation"]["point"], wrong["observation"]["tracer"], wrong["or"]) == ("P7", "T2", [])
 
 

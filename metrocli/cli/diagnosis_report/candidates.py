@@ -79,7 +79,7 @@ def _line(
     ]
     why = ""
     if word == status.Status.NOT_TESTABLE:
-        why = f"absorbed by {', '.join(candidates[0].absorbed_by)}; {_off(candidates)}"
+        why = f"absorbed by {candidates[0].absorbers}; {_off(candidates)}"
     elif word == status.Status.CANNOT_SEE and any(candidate.missed for candidate in candidates):
         sizes, why = [], status.reason(next(candidate for candidate in candidates if candidate.missed), word)
     elif word == status.Status.CANNOT_SEE and any(map(status.is_swallowed, candidates)):

@@ -28,7 +28,7 @@ from metrocli.frozen import dataclass
 Key = tuple[int, int]
 """Family and number of an effect"""
 _RULED_OUT = 1e-3
-"""Probability below which a fold leaves an effect out: it would change nothing"""
+"""Probability below which a fold leaves an effect out: what it adds is nearly always nothing"""
 _FEWEST = 4
 """Fewest units from whose scatter a variance is taken"""
 _RATHER_LARGE = 2.0
@@ -46,7 +46,7 @@ def gains(state: State, names: Sequence[IdentifiedEffect], ordered: Ordered = ma
     other effects: `p = (1 - w) p_without + w p_with`. Chosen or not, with nothing between, effects near the price would
     lose what supports them and keep what does not: the fold that shows them most is the one without which they are not
     chosen (docs/decisions/270-effects-predict-with-their-probability.md). What is not `nested` has all effects in each
-    fold, which takes a third of the time and flatters a little.
+    fold, which takes a third of the time and flatters, most where readings are few.
     """
     found = [*ordered(_Nested(state, tuple(names), nested), fold_numbers(state.measurement))]
     gained = [gain_of(pairs) for pairs in zip(*found, strict=True)]
@@ -67,11 +67,14 @@ class _Nested:
         state = self.state
         whole = Others.of_fold(state, number)
         # a candidate that the held-out readings have helped to choose would be judged by the readings that chose it
-        chosen = {name.key: one for name in self.names if (one := self._chosen(whole, name)) is not None}
+        every_choice = ((name.key, self._chosen(whole, name)) for name in self.names)
+        chosen = {key: choice for key, choice in every_choice if choice is not None}
         likely = {key: part for key, (part, weight) in chosen.items() if weight >= 0.5}
 
         def with_parts(parts: Mapping[Key, Fixed]) -> Held:
-            return whole.with_fixed((*parts.values(), *state.readings)).predicted()
+            # two names can have the same rival
+            distinct = {part.key: part for part in parts.values()}
+            return whole.with_fixed((*distinct.values(), *state.readings)).predicted()
 
         every = with_parts(likely)
         pairs = []

@@ -25,6 +25,8 @@ _ALL = 0.99999
 """Power that counts as certain"""
 _SMALLEST = 1e-3
 """The size over that at which every test is certain, at least"""
+_NEVER = 1e150
+"""Size that no instrument has; times a strength it is still a number"""
 _HALVINGS = 25
 _NOTHING = 1e-12
 _SEEN = 1e-4
@@ -74,11 +76,11 @@ def size_separated(gram: Array, confounded: Array, wanted: float) -> float:
 
 def _size(mean_power: Callable[[float], float], wanted: float, high: float) -> float:
     """Return the size with a mean power, which grows with the size; `high` is where the search begins."""
-    # doubled to infinity: a size that the readings never find
+    # doubled without end: a size that the readings never find
     while mean_power(high) < wanted:
         high *= 2
-        if not np.isfinite(high):
-            return high
+        if high > _NEVER:
+            return float("inf")
     low = high * _SMALLEST
     for _ in range(_HALVINGS):
         middle = float(np.sqrt(low * high))

@@ -7,7 +7,7 @@ import numpy as np
 from benchmarks.hidden import images
 from benchmarks.hidden.scenes import board_scene, part_scene
 from metrocli.diagnosis.detectability import design
-from metrocli.diagnosis.diagnose import _confirmed
+from metrocli.diagnosis.diagnose import _confirmed, _left
 from metrocli.diagnosis.evidence.folds import surely, with_jackknife
 from metrocli.diagnosis.evidence.identified import all_identified
 from metrocli.diagnosis.evidence.measured_job import measurement_of
@@ -65,6 +65,10 @@ def test_a_size_within_the_scatter_of_the_images_is_no_effect_however_large_its_
     left, _, _, unconfirmed = _confirmed(state, map, quick=False)
     assert not left.named
     assert unconfirmed[0].log_score <= 0
+    # nor is the set clean: what is seen and not named is left
+    structure = _left(left, (), (), None, None, unconfirmed)
+    assert structure is not None and structure.p_value < 1e-4
+    assert "axis-skew" in structure.depends_on[0]
 
 
 def test_what_another_effect_can_stand_for_leaves_if_its_size_may_be_nothing() -> None:
