@@ -206,16 +206,16 @@ def _largest(squares: Array, bounds: Array, least: float = 0.0) -> tuple[float, 
         for w in np.argsort(highest[:, at]).tolist():
             # an eigenvalue is at least the mean of all
             if lowest[0] > best[0] and highest[w, at] / q < lowest[0]:
-                lowest = min(lowest, _of_members(squares[at], traces[w, at], root[w, at]))
+                lowest = min(lowest, _of_members(squares[at], traces[w, at], root[w, at], best[0]))
         best = max(best, lowest)
     return (float(np.sqrt(best[0])), best[1]) if best[1] >= 0 else (0.0, 0)
 
 
-def _of_members(squares: Array, traces: Array, root: Array) -> tuple[float, int]:
-    """Return the largest eigenvalue of `root' S'S root` over all members, and its member."""
+def _of_members(squares: Array, traces: Array, root: Array, known: float) -> tuple[float, int]:
+    """Return the largest eigenvalue of `root' S'S root` over all members, and its member; up to `known` any of them."""
     first = int(np.argmax(traces))
     least = _eigenvalues(squares[[first]], root)[0]
-    more = np.flatnonzero(traces > least)
+    more = np.flatnonzero(traces > max(least, known))
     values = np.append(_eigenvalues(squares[more], root), least)
     best = int(np.argmax(values))
     return float(values[best]), int(np.append(more, first)[best])

@@ -39,7 +39,7 @@ LENGTHS = (1 / 64, 1 / 32, 1 / 16, 1 / 8, 1 / 4)
 """Lengths of correlation that are tried, as shares of the largest range of a unit: what is slower is a drift"""
 _SMOOTH = 1e-4
 """Share of the squares of its largest direction below which a direction of a smooth effect is left out"""
-_MOST_DENSE = 10_000_000
+_MOST_DENSE = 3_000_000
 """Numbers of the columns of a family that are held as one table"""
 
 

@@ -8,11 +8,13 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import field, replace
 from functools import cached_property
+from itertools import compress
 from typing import Any, Self, cast
 
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
+from metrocli.adjust.model.observations import Mask
 from metrocli.diagnosis.evidence.likelihood import Fit, Products, fit_at, likeliest
 from metrocli.diagnosis.evidence.measurement import LENGTHS, Measurement
 from metrocli.diagnosis.evidence.parts import EFFECT, READINGS, SCATTER, UNKNOWN, Fixed, Random
@@ -36,31 +38,22 @@ class Given:
     ranks: tuple[int, ...]
     """Number of columns of each part"""
 
-    def _columns(self, parts: Sequence[int]) -> Array:
+    def evidence(self, kept: Mask) -> Array:
+        """Return the sum of the evidence of some parts, each beside those before it, for several choices (n, parts)."""
+        own, ranks = np.repeat(kept, self.ranks, axis=1), np.where(kept, np.array(self.ranks, dtype=float), 0.0)
+        scale = np.sqrt(np.maximum(np.diag(self.gram), 1e-300))
+        # the bump lets a column that depends on others pass; its diagonal shows below that it did
+        unit, right = self.gram / scale / scale[:, None] + 1e-12 * np.eye(len(scale)), self.right / scale
+        explained = np.zeros(own.shape)
+        for at, found in zip(map(np.flatnonzero, own), explained, strict=True):
+            lower = np.asarray(np.linalg.cholesky(unit[at[:, None], at]), dtype=float)
+            # a column that depends on those before it explains nothing
+            found[at] = np.where(np.diag(lower) > 1e-5, solved(lower, right[at]) ** 2, 0.0)
         ends = np.cumsum([0, *self.ranks])
-        return np.concatenate([np.arange(ends[j], ends[j + 1]) for j in parts] or [np.zeros(0, dtype=np.intp)])
-
-    def evidence(self, parts: Sequence[int]) -> float:
-        """Return the sum of the evidence of some parts, each beside those before it."""
-        at = self._columns(parts)
-        if not at.size:
-            return 0.0
-        ranks = [self.ranks[j] for j in parts]
-        return _in_turn(self.gram[np.ix_(at, at)], self.right[at], ranks, self.squares, self.dof)
-
-
-def _in_turn(gram: Array, right: Array, ranks: Sequence[int], squares: float, dof: float) -> float:
-    """Return the sum of the evidence of fixed columns, each beside those before it."""
-    scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
-    unit = gram / scale / scale[:, None]
-    # the bump lets a column that depends on others pass; its diagonal shows below that it did
-    lower = np.asarray(np.linalg.cholesky(unit + 1e-12 * np.eye(len(unit))), dtype=float)
-    explained = solved(lower, right / scale) ** 2
-    # a column that depends on those before it explains nothing
-    explained = np.where(np.diag(lower) > 1e-5, explained, 0.0)
-    after = np.cumsum(np.concatenate([[0.0], explained]))[np.cumsum([0, *ranks])]
-    left, free = np.maximum(squares - after[:-1], 1e-300), dof - np.cumsum([0, *ranks])[:-1]
-    return float(gain_of_columns(np.diff(after), np.array(ranks), left, free).sum())
+        after = np.cumsum(np.pad(explained, ((0, 0), (1, 0))), axis=1)[:, ends]
+        left = np.maximum(self.squares - after[:, :-1], 1e-300)
+        free = self.dof - np.cumsum(ranks, axis=1, dtype=float) + ranks
+        return np.asarray(gain_of_columns(np.diff(after), ranks, left, free).sum(axis=1))
 
 
 TRIAL = 2
@@ -146,12 +139,13 @@ class Scored:
     @cached_property
     def score(self) -> float:
         """The restricted log-likelihood with the evidence of the fixed parts, less the prices of all parts."""
-        return self._score(range(len(self.fixed)))
+        return float(self._scores(np.ones((1, len(self.fixed)), dtype=bool))[0])
 
-    def _score(self, kept: Sequence[int]) -> float:
-        """Return the score with some of the fixed parts, in their order, at the same sizes of the random parts."""
+    def _scores(self, kept: Mask) -> Array:
+        """Return the scores with some of the fixed parts (n, parts), at the same sizes of the random parts."""
         found = self.measurement.log_scale - (self.fit.dof * np.log(self.given.squares) + self.fit.log_det) / 2
-        return float(found + self.given.evidence(kept) - self._prices([self.fixed[j] for j in kept]))
+        prices = [self._prices([*compress(self.fixed, one)]) for one in kept]
+        return np.asarray(found + self.given.evidence(kept) - prices)
 
     def _prices(self, fixed: Sequence[Fixed]) -> float:
         names = sum(part.sort == EFFECT for part in fixed)
@@ -163,8 +157,7 @@ class Scored:
 
     def without_fixed(self) -> Array:
         """Return what each fixed part adds to the score, at the same sizes of the random parts."""
-        every = list(range(len(self.fixed)))
-        return np.array([self.score - self._score([k for k in every if k != j]) for j in every])
+        return np.asarray(self.score - self._scores(~np.eye(len(self.fixed), dtype=bool)))
 
     def plus(
         self, fixed: Sequence[Fixed] = (), random: Sequence[Random] = (), logs: Sequence[float] = (), steps: int = TRIAL

@@ -120,12 +120,13 @@ class State(Scored):
 
     @cached_property
     def _absorbed(self) -> Array:
+        entered = np.einsum("rk,rk->r", self.entered, self.entered)
         if not self.members_are_free:
-            return self.basis.squares()
+            return np.asarray(self.own.squares() + entered)
         held = self.measurement.held
         if "absorbed" not in held:
             held["absorbed"] = self.measurement.system.basis.squares()
-        return np.asarray(held["absorbed"] + np.einsum("rk,rk->r", self.entered, self.entered))
+        return np.asarray(held["absorbed"] + entered)
 
     def products(self, rows: Index) -> Array:
         """Return the products of what the state takes of rows (n, a), -1 for none, with each other, (n, a, a)."""
