@@ -125,15 +125,21 @@ def _confirmed(
 ) -> tuple[State, tuple[IdentifiedEffect, ...], list[Gain], tuple[Unconfirmed, ...]]:
     """Return the state without what held-out readings speak against, its effects with their gains, and what it lost.
 
-    An effect stays while the log score of held-out readings is positive. Effects whose sizes may be nothing leave one
-    by one.
+    The log score of held-out readings and the net evidence of all are both logarithms of odds: an effect stays while
+    their sum is positive. In a quick diagnosis the log score alone has to be. Effects whose sizes may be nothing leave
+    one by one.
     """
     state, lost = with_confirmed(state)
     while True:
         names = all_identified(state) if quick else with_jackknife(state, all_identified(state))
         gained = gains(state, names, ordered, nested=not quick) if names else []
         judged = list(zip(state.named, names, gained, strict=False))
-        against = [(part, name, gain) for part, name, gain in judged if gain.log_score <= 0]
+        nets = dict(zip((part.key for part in state.fixed), state.without_fixed().tolist(), strict=True))
+        against = [
+            (part, name, gain)
+            for part, name, gain in judged
+            if gain.log_score + (0.0 if quick else nets[part.key]) <= 0
+        ]
         if not against:
             unsure = least_sure(state, names)
             if unsure is None:

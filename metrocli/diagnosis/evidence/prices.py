@@ -17,7 +17,7 @@ from metrocli.diagnosis.linear.distributions import critical, log_family, single
 from metrocli.diagnosis.linear.projection import Linearised
 from metrocli.frozen import dataclass
 
-LEVEL = 0.02
+LEVEL = 0.03
 """Share of measurements of white noise in which an effect is named"""
 FURTHER = float(np.log(3.0))
 """What a further effect pays beyond the first: a third of the level"""

@@ -40,7 +40,7 @@ from metrocli.project import yaml_text
 from metrocli.tasks import KINDS
 
 TASK = KINDS["multilaterate"].task()
-PERIOD, SIZE, TAU = 410.0, 0.0012, 300.0
+PERIOD, SIZE, TAU = 410.0, 0.0012, 340.0
 
 
 def test_the_columns_of_every_form_are_those_of_its_text() -> None:
@@ -105,7 +105,7 @@ def test_a_wave_of_one_tracer_is_found_with_its_period_and_size(found: Diagnosis
 
 def test_what_settles_is_no_jump_although_it_is_much_like_one() -> None:
     """The law explains far more than a jump with a correlated error does, so it replaces them."""
-    settled = diagnosed(0.0, 24, settling=3 * SIZE)
+    settled = diagnosed(0.0, 21, settling=2 * SIZE)
     assert settled.law is not None and not settled.findings
     (term,) = settled.law.terms
     assert (term.form.kind, term.form.variables, term.spot.where) == ("saturations", ("t",), (("tracer", "T2"),))
