@@ -110,6 +110,11 @@ class Finding:
     """Larger noise of the readings at its place, such as its image, that explains them as well"""
 
     @property
+    def confirmed(self) -> bool:
+        """Whether held-out readings confirm it; what they do not is in no extended job."""
+        return self.gain.log_score > 0
+
+    @property
     def instead(self) -> tuple[str, ...]:
         """What explains the readings as well, in words."""
         return (*(str(rival.alternative) for rival in self.effect.rivals), *map(str, self.noise))
@@ -194,4 +199,5 @@ class Diagnosis:
         if not self.findings and not self.scatters:
             return Verdict.CLEAN
         instead = [finding.instead for finding in self.findings] + [scatter.rivals for scatter in self.scatters]
-        return Verdict.INDISTINCT if any(instead) else Verdict.EXPLAINED
+        confirmed = self.scatters or any(finding.confirmed for finding in self.findings)
+        return Verdict.INDISTINCT if any(instead) or not confirmed else Verdict.EXPLAINED

@@ -163,7 +163,7 @@ def write_extended(
     """
     path = path or job.file.with_name(f"{job.file.stem}.extended.yaml")
     stated = proposed_noise(diagnosis) or proposed_correlated(diagnosis) or _correction(diagnosis)
-    others = bool(stated or diagnosis.scatters or diagnosis.findings)
+    others = bool(stated or diagnosis.scatters or any(finding.confirmed for finding in diagnosis.findings))
     if not others and diagnosis.law is None:
         return None
     refuse_inputs([path], (*job.stated_in, *job.files))
@@ -201,7 +201,7 @@ def _write(job: JobFile, diagnosis: Diagnosis, law: Law | None, place: tuple[Pat
     scatters = [scatter for scatter in diagnosis.scatters if not declares(job.root.get("noise"), scatter)]
     named = [
         *map(scatter_as_job, scatters),
-        *(as_job(finding.effect) for finding in diagnosis.findings),
+        *(as_job(finding.effect) for finding in diagnosis.findings if finding.confirmed),
     ]
     called = _free_name(diagnosis)
     new = [node_of(job.root, entry) for entry in (*named, *([] if law is None else [as_wanted(law, called)]))]

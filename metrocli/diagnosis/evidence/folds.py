@@ -97,7 +97,7 @@ class _Nested:
         return pairs
 
     @cached_property
-    def _owns(self) -> dict[Key, list[Mask]]:
+    def _own_alternatives(self) -> dict[Key, list[Mask]]:
         """Of each effect, which alternatives of each family are it or its rivals."""
         families = self.state.measurement.families
         spots = {
@@ -116,7 +116,7 @@ class _Nested:
         m, parts = self.state.measurement, self.state.fixed
         if not self.nested:
             return next(part for part in parts if part.key == name.key), 1.0
-        others, owns = whole.keeping(part for part in parts if part.key != name.key), self._owns[name.key]
+        others, owns = whole.keeping(part for part in parts if part.key != name.key), self._own_alternatives[name.key]
         # a first effect has to pay for itself only; a further one has the higher price that the search asks of it
         further = FURTHER if len(parts) > 1 else 0.0
         net, key, rival = -np.inf, name.key, -np.inf

@@ -21,10 +21,11 @@ LEVEL = 0.03
 """Share of measurements of white noise in which an effect is named"""
 FURTHER = float(np.log(3.0))
 """What a further effect pays beyond the first: a third of the level"""
-_PRIOR_ODDS = 2.0
-OF_UNITS = -_PRIOR_ODDS
+_LOG_ODDS = 2.0
+"""ln of the prior odds for errors that are usual, and against causes that nobody knows"""
+OF_UNITS = -_LOG_ODDS
 """What errors of each unit pay beyond their tests: real readings nearly always have them, prior odds of e^2"""
-OF_ALL = _PRIOR_ODDS
+OF_ALL = _LOG_ODDS
 """What errors of unknown cause that all readings share pay beyond their tests: that is what effects are"""
 PRIOR = 2.0
 """The declared noise in degrees of freedom"""
