@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -60,20 +61,13 @@ def among_terms(state: State, library: Library, needed: float = 0.0) -> Lawful |
     least = max(-_NEAR, needed / MOST_TERMS - _NEAR)
     # nearly all terms act at one place of many: those where no term can gain enough are not looked at
     looked_at = library.at(_places(state, library, least))
-    if _most_of(state, looked_at) < least or (looked_at is not library and _most_of(state, library) < least):
+    # at the least prices that there can be: true ones take a count of independent tests, which costs more
+    plain = Prices(tuple(LEAST_TESTS for _ in looked_at.families) + (1.0,), state.measurement.prices.dof)
+    tried = _with_candidates(state, looked_at, plain)
+    nets = (np.subtract(*tried.gains_of_family(i)[:2]).max(initial=-np.inf) for i in range(len(looked_at.families)))
+    if max(nets, default=-np.inf) < least:
         return None
-    return Lawful(_with_candidates(state, library, library.prices), library)
-
-
-def _most_of(state: State, library: Library) -> float:
-    """Return the largest net gain of a term, at the least prices that there can be.
-
-    The true ones take a count of independent tests, which costs more than this look.
-    """
-    plain = Prices(tuple(LEAST_TESTS for _ in library.families) + (1.0,), state.measurement.prices.dof)
-    tried = _with_candidates(state, library, plain)
-    nets = (np.subtract(*tried.gains_of_family(i)[:2]).max(initial=-np.inf) for i in range(len(library.families)))
-    return float(max(nets, default=-np.inf))
+    return Lawful(_with_candidates(state, library, library.prices, tried.held if looked_at is library else {}), library)
 
 
 def _places(state: State, library: Library, least: float) -> list[Place]:
@@ -93,9 +87,9 @@ def _places(state: State, library: Library, least: float) -> list[Place]:
     return found
 
 
-def _with_candidates(state: State, library: Library, prices: Prices) -> State:
+def _with_candidates(state: State, library: Library, prices: Prices, held: dict[object, Any] | None = None) -> State:
     m = replace(state.measurement, families=library.families, scatters=(), knots=(), prices=prices)
-    return replace(state, measurement=m, held={})
+    return replace(state, measurement=m, held={} if held is None else held)
 
 
 def forward(lawful: Lawful, price: float, most: int = MOST_TERMS) -> Lawful:
