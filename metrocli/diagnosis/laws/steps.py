@@ -70,7 +70,7 @@ def _most_of(state: State, library: Library) -> float:
 
     The true ones take a count of independent tests, which costs more than this look.
     """
-    plain = Prices(tuple(LEAST_TESTS for _ in library.families) + (1.0,), state.measurement.prices.dof)
+    plain = Prices(tuple(LEAST_TESTS for _ in library.families) + (1.0,), 1.0, state.measurement.prices.dof)
     tried = _with_candidates(state, library, plain)
     nets = (np.subtract(*tried.gains_of_family(i)[:2]).max(initial=-np.inf) for i in range(len(library.families)))
     return float(max(nets, default=-np.inf))
