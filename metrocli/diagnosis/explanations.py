@@ -19,6 +19,7 @@ from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.evidence.weights import tried_noise
 from metrocli.diagnosis.extended_fit import readings_kept, result_change, with_random_effect
 from metrocli.diagnosis.findings import Instead, RandomEffect, Unconfirmed
+from metrocli.diagnosis.linear.distributions import log_family
 from metrocli.diagnosis.linear.projection import READING
 from metrocli.diagnosis.noise import AS_OTHERS
 from metrocli.effects.effect import Effect
@@ -54,8 +55,7 @@ def _random_effect(state: State, number: int) -> RandomEffect:
         effect,
         std,
         std * relative_spread(state, number),
-        # counted over all effects that are sought at all their places
-        log_level_of(state.score + part.price - less.score) + float(np.log(len(m.scatters))),
+        float(log_family(log_level_of(state.score + part.price - less.score), m.prices.causes)),
         sum(family.columns.count for family in families),
         _as_likely(state, less),
         gain_of_parts(state, [part]),

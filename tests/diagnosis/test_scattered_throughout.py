@@ -11,6 +11,9 @@ from benchmarks.hidden import images, launch
 from benchmarks.hidden.scenes import part_scene
 from metrocli.cli.diagnosis_report.findings import of_diagnosis
 from metrocli.diagnosis.diagnose import diagnose
+from metrocli.diagnosis.evidence.measured_job import measurement_of
+from metrocli.diagnosis.evidence.state import State
+from metrocli.diagnosis.evidence.variances import scattered_effects
 from metrocli.diagnosis.findings import Diagnosis
 from metrocli.diagnosis.verdict import as_data
 
@@ -72,6 +75,17 @@ def test_a_part_seen_from_poses_that_are_off(which: str) -> None:
     found = diagnose(images.Images(scene, uv + rng.normal(0, scene.noise, uv.shape)).adjusted())
     assert found.verdict == "explained" and found.noise.as_declared
     assert [one.effect.name for one in found.scatters] == ["bad-pose" if which == "poses" else "moved-target"]
+
+
+def test_a_scatter_shares_the_level_with_all_other_names() -> None:
+    """3 % of measurements of white noise have a name of any kind, and a scatter is one of a dozen."""
+    rng = np.random.default_rng(8)
+    m = measurement_of(launch.measurement(rng, True).adjusted())
+    named = 0
+    for noise in rng.normal(size=(600, m.system.rows)):
+        drawn = State.of(replace(m, system=replace(m.system, residual=m.system.seen(noise))))
+        named += scattered_effects(drawn)[0].net > 0
+    assert named <= 0.01 * 600
 
 
 def test_one_bad_pose_and_none_are_no_scatter() -> None:

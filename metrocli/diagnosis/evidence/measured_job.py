@@ -55,14 +55,16 @@ def measurement_of(
     families += unknown_families(job, system)
     places = _places(system, job)
     readings = int((1 - system.basis.squares(places[:, 0]) > _REDUNDANT).sum())
+    scatters = tuple(_scatters(job, system, every, smooth=not quick))
     same = like is not None and [family.form for family in like.families] == [family.form for family in families]
-    prices = like.prices if same and like else counted(system, families, readings, np.random.default_rng(_SEED))
+    rng = np.random.default_rng(_SEED)
+    prices = like.prices if same and like else counted(system, families, readings, rng, len(scatters))
     return Measurement(
         job,
         system,
         tuple(families),
         not_tested,
-        tuple(_scatters(job, system, every, smooth=not quick)),
+        scatters,
         () if quick else tuple(Knots.of(functions) for functions in process_bases(job, system)),
         places,
         tuple(variance_groups(job, system)),

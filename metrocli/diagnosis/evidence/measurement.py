@@ -137,8 +137,8 @@ class Measurement:
 
     @property
     def price_of_scatter(self) -> float:
-        """The price of an effect at all its places."""
-        return price_of_variance(len(self.scatters))
+        """The price of an effect at all its places: a name too, one of the causes that share the level."""
+        return price_of_variance(self.prices.causes)
 
     @property
     def price_of_noise(self) -> float:

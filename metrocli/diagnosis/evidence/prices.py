@@ -52,7 +52,9 @@ class Prices:
     """What each kind of explanation pays in ln of the evidence."""
 
     tests: tuple[float, ...]
-    """Effective number of tests of each family, counted over all families; then that of single readings"""
+    """Effective number of tests of each family, counted over all causes; then that of single readings"""
+    causes: float
+    """Effective number of causes: each has an equal share of the level"""
     dof: float
     held: dict[tuple[int, int], float] = field(default_factory=dict, compare=False, repr=False)
 
@@ -82,10 +84,17 @@ def price_of_variance(tests: float, level: float = LEVEL) -> float:
     return float(ndtri(level / max(tests, 1.0)) ** 2 / 2)
 
 
-def counted(system: Linearised, families: Sequence[CandidateGroup], readings: int, rng: np.random.Generator) -> Prices:
+def counted(
+    system: Linearised,
+    families: Sequence[CandidateGroup],
+    readings: int,
+    rng: np.random.Generator,
+    everywhere: int = 0,
+) -> Prices:
     """Return the prices, with the effective numbers of tests from simulated white noise.
 
-    Errors of single readings are nearly independent tests, so their number is that of the readings.
+    Errors of single readings are nearly independent tests, so their number is that of the readings. Each effect that
+    may act `everywhere`, at all its places at once, is one test.
     """
     every = system.dof + PRIOR
     system, families = of_some_members(system, families, rng)
@@ -95,6 +104,6 @@ def counted(system: Linearised, families: Sequence[CandidateGroup], readings: in
     least = [smallest_of_family(family.columns, family.gram, family.raw, noise, squares, dof) for family in families]
     counts = [effective_number_of_tests(levels_) for levels_ in least]
     levels = [log_family(levels_, count) for levels_, count in zip(least, counts, strict=True)]
-    # one more for wrong readings, which are a family of their own
-    causes = (effective_number_of_tests(np.min(levels, axis=0)) if levels else 0.0) + 1.0
-    return Prices((*(causes * count for count in counts), causes * max(readings, 1)), every)
+    # one more for wrong readings, which are a family of their own, and one for each effect at all its places
+    causes = (effective_number_of_tests(np.min(levels, axis=0)) if levels else 0.0) + 1.0 + everywhere
+    return Prices((*(causes * count for count in counts), causes * max(readings, 1)), causes, every)

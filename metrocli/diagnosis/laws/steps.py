@@ -62,7 +62,7 @@ def among_terms(state: State, library: Library, needed: float = 0.0) -> Lawful |
     # nearly all terms act at one place of many: those where no term can gain enough are not looked at
     looked_at = library.at(_places(state, library, least))
     # at the least prices that there can be: true ones take a count of independent tests, which costs more
-    plain = Prices(tuple(LEAST_TESTS for _ in looked_at.families) + (1.0,), state.measurement.prices.dof)
+    plain = Prices(tuple(LEAST_TESTS for _ in looked_at.families) + (1.0,), 1.0, state.measurement.prices.dof)
     tried = _with_candidates(state, looked_at, plain)
     nets = (np.subtract(*tried.gains_of_family(i)[:2]).max(initial=-np.inf) for i in range(len(looked_at.families)))
     if max(nets, default=-np.inf) < least:

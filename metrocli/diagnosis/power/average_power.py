@@ -11,7 +11,6 @@ from collections.abc import Callable
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
-from metrocli.diagnosis.evidence.prices import LEVEL
 from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.hidden_change import UndetectedBias, hidden_by_scatter
 from metrocli.diagnosis.linear.distributions import noncentrality, power
@@ -150,23 +149,21 @@ def _candidate(state: State, effect: Effect, noise: float) -> ScatterCandidate:
     left = part.columns.T @ state.seen(part.columns) * part.unit**-2
     eigenvalues = np.linalg.eigvalsh(left)
     # eigenvalues in units of the noise: the size is sought for a noise of 1 and multiplied with it at the end
-    seen = eigenvalues[eigenvalues > _SEEN * eigenvalues[-1]], m.dof, effect.plausible / noise
+    seen = eigenvalues[eigenvalues > _SEEN * eigenvalues[-1]], m.dof, effect.plausible / noise, part.price
     size, hidden = (_scatter_found(*seen, beyond) * noise for beyond in (_EIGHTY, _NINETY_FIVE))
     hides = hidden_by_scatter(m.job, m.system, m.scatters[number], hidden if np.isfinite(hidden) else effect.plausible)
     return ScatterCandidate(effect, size, hides)
 
 
-def _scatter_found(eigenvalues: Array, dof: float, usual: float, beyond: float) -> float:
-    """Return the standard deviation s at which the mean gain of the log-likelihood suffices with some power.
+def _scatter_found(eigenvalues: Array, dof: float, usual: float, price: float, beyond: float) -> float:
+    """Return the standard deviation s at which the mean gain of the log-likelihood exceeds a price with some power.
 
     With d the eigenvalues and nu the degrees of freedom it is `(nu ln(1 + s^2 sum d / nu) - sum ln(1 + s^2 d)) / 2`.
     The noise is not known, so it is 0 where the scatter looks like noise.
     """
-    from scipy.special import ndtri
-
     tried = usual * np.geomspace(1 / _WIDEST, _WIDEST, _STEPS)
     shown = tried[:, None] ** 2 * eigenvalues
     gain = (dof * np.log1p(shown.sum(axis=1) / dof) - np.log1p(shown).sum(axis=1)) / 2
-    needed = float(-ndtri(LEVEL)) + beyond
+    needed = float(np.sqrt(2 * price)) + beyond
     enough = np.flatnonzero(np.sqrt(np.maximum(2 * gain, 0.0)) > needed)
     return float(tried[enough[0]]) if enough.size else float("inf")
