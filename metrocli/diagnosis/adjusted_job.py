@@ -117,7 +117,7 @@ Ordered = Callable[[Callable[[int], Any], Iterable[int]], Iterable[Any]]
 """Applies a function to numbers, as `map` does, perhaps on other processors; results have the order of the numbers."""
 
 
-_REPORTED = {"mm": ("um", "length"), "rad": ("urad", "angle"), "px": ("px", "pixel")}
+REPORTED = {"mm": ("um", "length"), "rad": ("urad", "angle"), "px": ("px", "pixel")}
 """Unit and dimension in which errors of readings are reported, by their internal unit"""
 
 
@@ -183,7 +183,7 @@ class AdjustedJob:
     @property
     def reading(self) -> tuple[str, str]:
         """Unit and dimension in which errors of readings are reported: those of the first group."""
-        return _REPORTED[self.model.readings[0].observations.unit]
+        return REPORTED[self.model.readings[0].observations.unit]
 
 
 @dataclass(frozen=True)

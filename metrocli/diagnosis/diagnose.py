@@ -219,11 +219,12 @@ def _left(
     """
     # the most specific first: a law, an unknown cause, a smooth error, and what repeated readings share
     job, misfit = state.measurement.job, gain.before**2 if gain is not None and gain.before else None
-    significant = [error for error in correlated if error.log_level < np.log(_CORRELATED)]
-    smooth = 0.0
-    if significant and job.noise_model != STRUCTURED:
-        # shares of a misfit in one unit: errors of angles do not add to those of lengths
-        smooth = sum((error.std * error.visible) ** 2 for error in correlated if error.is_in_unit_of(job.reading[1]))
+    beyond = [error for error in correlated if error.log_level < np.log(_CORRELATED)]
+    significant = beyond if job.noise_model != STRUCTURED else []
+    # shares of a misfit in one unit: errors of angles do not add to those of lengths, nor are they little beside them
+    alike = [error for error in correlated if significant and error.is_in_unit_of(job.reading[1])]
+    smooth = sum((error.std * error.visible) ** 2 for error in alike)
+    misfit = misfit if all(error in alike for error in significant) else None
     law = next((law for law in laws if law.chosen), None)
     if law is not None:
         names = dict.fromkeys(name for term in law.terms for name in term.form.variables)
@@ -240,16 +241,16 @@ def _left(
             *_shares(size, misfit, smooth),
             job.noise_model == STRUCTURED,
         )
-    if significant and job.noise_model != STRUCTURED:
+    if significant:
         best = min(significant, key=lambda error: error.log_level)
         names = dict.fromkeys(error.covariate for error in significant)
-        where = (best.place,) if best.place else ()
         return RemainingStructure(
             float(np.exp(best.log_level)),
             tuple(names),
-            where,
+            (best.place,) if best.place else (),
             best.std * best.visible,
             smooth / misfit if misfit else None,
+            unit=best.unit,
         )
     if repeats is not None and repeats.lack_of_fit < _LACK_OF_FIT:
         return RemainingStructure(repeats.lack_of_fit, (REPEATS,))
@@ -262,8 +263,8 @@ def _left(
 
 
 def _shares(size: float, misfit: float | None, smooth: float) -> tuple[float | None, float]:
-    """Return the share of a misfit, and that of the squares of smooth errors beside it."""
-    return (size**2 / misfit, smooth / misfit) if size and misfit else (None, 0.0)
+    """Return the share in a misfit of what both of its sides have, and that of the squares of smooth errors beside it."""
+    return (size**2 / (misfit + size**2), smooth / (misfit + size**2)) if size and misfit else (None, 0.0)
 
 
 def _size(state: State, part: Fixed) -> float:

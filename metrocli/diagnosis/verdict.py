@@ -10,7 +10,7 @@ import numpy as np
 from metrocli import units
 from metrocli.adjust.clusters.robust import STRUCTURED
 from metrocli.adjust.model.blocks import Array
-from metrocli.diagnosis.adjusted_job import AdjustedJob
+from metrocli.diagnosis.adjusted_job import REPORTED, AdjustedJob
 from metrocli.diagnosis.correlated_error import CorrelatedError
 from metrocli.diagnosis.detectability import Detectability
 from metrocli.diagnosis.evidence.gain import Gain
@@ -210,7 +210,7 @@ def _gain(gain: Gain, job: AdjustedJob) -> dict[str, Any]:
 
 
 def _left(job: AdjustedJob, left: RemainingStructure) -> dict[str, Any]:
-    unit = units.find_unit(*job.reading)
+    unit = units.find_unit(*REPORTED.get(left.unit, job.reading))
     return {
         "p_value": left.p_value,
         "depends_on": list(left.depends_on),

@@ -209,17 +209,32 @@ def test_a_process_varies_within_its_units() -> None:
     assert not {("t_s", "image"), ("temp_degC", "image")} & found
 
 
-def test_the_size_of_a_process_is_in_the_unit_of_the_readings_that_show_it() -> None:
-    """Distances that waver by three times their noise, beside encoders that do not."""
+def with_wavering_distances(effect: str = "") -> Diagnosis:
+    """Return the diagnosis of a launch unit whose distances waver by three times their noise, and its encoders do not."""
     rng = np.random.default_rng([93, 0])
     m = launch.measurement(rng, True)
-    share = (m.t - m.t.min()) / np.ptp(m.t)
-    wave = sum(np.cos(2 * np.pi * k * share + rng.uniform(0, 6)) for k in (1,))
+    if effect:
+        m, _ = launch.planted(m, rng, effect, 20.0)
+    wave = np.cos(2 * np.pi * (m.t - m.t.min()) / np.ptp(m.t) + rng.uniform(0, 6))
     off = np.zeros_like(m.read)
     off[4] = 3 * launch.DISTANCE * wave / np.std(wave)
-    (shown,) = as_data(diagnose(replace(m, read=m.read + off).adjusted()))["processes"]
+    return diagnose(replace(m, read=m.read + off).adjusted())
+
+
+def test_the_size_of_a_process_is_in_the_unit_of_the_readings_that_show_it() -> None:
+    (shown,) = as_data(with_wavering_distances())["processes"]
     assert shown["std"]["unit"] == "um"
     assert shown["std"]["value"] == pytest.approx(3e3 * launch.DISTANCE, abs=3 * shown["std"]["std"])
+
+
+def test_what_wavers_in_another_unit_than_the_misfit_is_no_small_share_of_it() -> None:
+    """Beside an encoder that is named, errors of distances are left: they are no urad, and not 0 % of those."""
+    found = with_wavering_distances("encoder-eccentricity")
+    assert found.findings and found.left is not None
+    assert found.verdict == Verdict.UNEXPLAINED and found.left.share is None
+    size = as_data(found)["unexplained"]["size"]
+    assert size["unit"] == "um" and size["value"] == pytest.approx(3e3 * launch.DISTANCE, rel=0.3)
+    assert f"varies with t_s, {size['value']:.1f} um (root mean square)" in of_diagnosis(found, None)
 
 
 def test_white_noise_has_no_process() -> None:
