@@ -22,6 +22,7 @@ from metrocli.diagnosis.evidence.parts import (
     READINGS,
     SCATTER,
     TERM,
+    TERMS,
     UNKNOWN,
     Fixed,
     Knots,
@@ -191,9 +192,9 @@ class Measurement:
         return self.prices.of_columns(family, rank) + (OF_ALL if self.families[family].unknown else 0.0)
 
     def term(self, whole: Array, key: tuple[int, int], price: float) -> Fixed:
-        """Return the whole columns of a term of a law (rows, factors) as fixed columns."""
+        """Return the whole columns of a term of a law (rows, factors) as fixed columns; its key is that of no effect."""
         seen = self.system.seen(whole)
-        return fixed(whole, seen.T @ seen, key, price, TERM)
+        return fixed(whole, seen.T @ seen, (TERMS - key[0], key[1]), price, TERM)
 
     def reading(self, number: int) -> Fixed:
         """Return the error of one reading as fixed columns."""
