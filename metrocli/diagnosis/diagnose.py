@@ -135,17 +135,15 @@ def _confirmed(
         gained = gains(state, names, ordered, nested=not quick) if names else []
         judged = list(zip(state.named, names, gained, strict=False))
         nets = dict(zip((part.key for part in state.fixed), state.without_fixed().tolist(), strict=True))
-        against = [
-            (part, name, gain)
-            for part, name, gain in judged
-            if gain.log_score + (0.0 if quick else nets[part.key]) <= 0
-        ]
+        against = [one for one in judged if one[2].log_score + (0.0 if quick else nets[one[0].key]) <= 0]
+        unsure = None if against else least_sure(state, names)
+        against = against or [one for one in judged if one[0] is unsure]
         if not against:
-            unsure = least_sure(state, names)
-            if unsure is None:
-                return state, names, gained, tuple(lost)
-            against = [(part, name, gain) for part, name, gain in judged if part is unsure]
-        lost += [Unconfirmed(str(name.alternative), gain.log_score, name.level_of_size) for _, name, gain in against]
+            return state, names, gained, tuple(lost)
+        lost += [
+            Unconfirmed(str(name.alternative), gain.log_score, None if unsure is None else name.level_of_size)
+            for _, name, gain in against
+        ]
         state = state.minus([part for part, _, _ in against])
 
 
@@ -263,7 +261,7 @@ def _left(
 
 
 def _shares(size: float, misfit: float | None, smooth: float) -> tuple[float | None, float]:
-    """Return the share in a misfit of what both of its sides have, and that of the squares of smooth errors beside it."""
+    """Return the share in a misfit of what both its sides have, and that of the squares of smooth errors beside it."""
     return (size**2 / (misfit + size**2), smooth / (misfit + size**2)) if size and misfit else (None, 0.0)
 
 

@@ -192,7 +192,7 @@ class Measurement:
         return self.prices.of_columns(family, rank) + (OF_ALL if self.families[family].unknown else 0.0)
 
     def term(self, whole: Array, key: tuple[int, int], price: float) -> Fixed:
-        """Return the whole columns of a term of a law (rows, factors) as fixed columns; its key is that of no effect."""
+        """Return the whole columns of a term of a law (rows, factors) as fixed columns, whose key no effect has."""
         seen = self.system.seen(whole)
         return fixed(whole, seen.T @ seen, (TERMS - key[0], key[1]), price, TERM)
 
