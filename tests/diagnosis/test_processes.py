@@ -124,6 +124,15 @@ def test_names_before_processes_are_raced_may_be_chance_and_the_report_states_it
     assert stated not in of_diagnosis(replace(found, correlated_errors=()), None)
 
 
+def test_an_extended_job_without_effects_is_not_said_to_have_them() -> None:
+    """What held-out readings do not confirm is in no extended job."""
+    found, _ = wavering(5, "dead-path-drift", 6.0)
+    written = Extended(Path("job.extended.yaml"), None)
+    assert "the job extended by the named effects and with `noise: structured`" in of_diagnosis(found, written)
+    lost = tuple(replace(one, gain=replace(one.gain, log_score=-0.1)) for one in found.findings)
+    assert "extended by the named effects" not in of_diagnosis(replace(found, findings=lost), written)
+
+
 @pytest.mark.slow
 def test_what_wavers_is_no_law() -> None:
     """Beside white noise alone a law was found in both."""

@@ -102,7 +102,8 @@ def _of_part(part: MemberSubset) -> str:
 
 def _extension(diagnosis: Diagnosis, law: Law | None) -> str:
     """Return what an extended job with a law, or without, has that the job has not."""
-    added = ["the named effects"] if diagnosis.findings or diagnosis.scatters else []
+    confirmed = any(finding.confirmed for finding in diagnosis.findings)
+    added = ["the named effects"] if confirmed or diagnosis.scatters else []
     added += ["the law"] if law is not None else []
     shared = _shared(diagnosis)
     if not added and not shared:
