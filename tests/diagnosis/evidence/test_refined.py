@@ -1,13 +1,15 @@
 """Scanned parameters are refined between the values that the scan tried."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 
-from benchmarks.hidden import machine
+from benchmarks.hidden import lengths, machine
 from metrocli.diagnosis.evidence.measured_job import measurement_of
 from metrocli.diagnosis.evidence.refined import _Scan, refined
 from metrocli.diagnosis.evidence.state import State
+from metrocli.diagnosis.evidence.weights import with_noise
 from metrocli.diagnosis.linear.candidates import Candidate
 from metrocli.tasks.adjust_network.effects import EFFECTS
 from tests.diagnosis.evidence.test_dense import number_of_effect, with_residual
@@ -47,3 +49,10 @@ def test_values_refined_in_two_branches_of_a_search_are_two() -> None:
         # least squares leave nothing along the columns
         left = state.fixed[0].columns.T @ state.residual
         assert np.abs(left).max() < 1e-6 * np.linalg.norm(m.system.residual)
+
+
+def test_other_values_that_fit_alike_stay_beside_other_noise() -> None:
+    m = measurement_of(lengths.measurement(np.random.default_rng(5), 20).adjusted(), quick=True)
+    alias = ("at", 3.0, 0.5)
+    state = State.of(m, [replace(m.effect(0, 0), aliases=(alias,)), m.reading(3)])
+    assert [part.aliases for part in state.at(with_noise(m, {0: 2.0})).fixed] == [(alias,), ()]
