@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from metrocli.adjust.clusters.robust import ESTIMATED
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Index, Mask, Observations
@@ -184,6 +185,11 @@ class AdjustedJob:
     def reading(self) -> tuple[str, str]:
         """Unit and dimension in which errors of readings are reported: those of the first group."""
         return REPORTED[self.model.readings[0].observations.unit]
+
+    @property
+    def declares_noise(self) -> bool:
+        """Whether its whole noise is declared: no part of it follows the residuals."""
+        return not self.noise_model and ESTIMATED not in self.declared
 
 
 @dataclass(frozen=True)

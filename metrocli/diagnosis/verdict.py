@@ -34,7 +34,8 @@ def as_data(diagnosis: Diagnosis) -> dict[str, Any]:
             "declared": diagnosis.job.declared,
             "ratio": noise.ratio,
             "interval": [noise.low, noise.high],
-            "as_declared": noise.as_declared,
+            # a noise that follows the residuals is not declared
+            "as_declared": noise.as_declared if diagnosis.job.declares_noise else None,
             "apart": [{unit.key: unit.name, "ratio": unit.ratio} for unit in diagnosis.variance_groups],
             "repeats": None if repeats is None else {"ratio": repeats.ratio, "lack_of_fit": repeats.lack_of_fit},
         },

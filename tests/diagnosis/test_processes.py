@@ -113,6 +113,8 @@ def test_a_clean_report_states_that_uncertainties_are_without_the_smooth_error()
         assert of_diagnosis(taken, None).splitlines()[0] == "verdict: clean"
         assert "The standard uncertainties of the result include it." in of_diagnosis(taken, None)
         assert as_data(taken)["processes"][0]["in_uncertainties"] is True
+        # nothing is declared where the noise follows the residuals
+        assert as_data(found)["noise"]["as_declared"] is True and as_data(taken)["noise"]["as_declared"] is None
 
 
 def test_names_before_processes_are_raced_may_be_chance_and_the_report_states_it() -> None:
