@@ -99,17 +99,17 @@ class Measurement:
         return order, np.searchsorted(member[order], np.arange(members + 1))
 
     def is_local(self, knots: Knots) -> bool:
-        """Whether each unit of a covariate lies in one local member, so that its errors are eliminated with it."""
+        """Whether each unit of a covariate is alone in one local member, so that its errors are eliminated with it."""
         member, there = self.system.basis.member, knots.component >= 0
         if not knots.functions.by or self.system.basis.members < 2 or (member[there] < 0).any():
             return False
-        first = np.zeros(knots.functions.count, dtype=np.intp)
-        first[knots.unit[there]] = member[there]
-        return bool((first[knots.unit[there]] == member[there]).all())
+        # images of several cameras share the pose of their exposure
+        own = np.unique(np.stack([knots.unit[there], member[there]]), axis=1)
+        return all(len(np.unique(each)) == own.shape[1] for each in own)
 
     @cached_property
     def local(self) -> tuple[bool, ...]:
-        """Of each covariate, whether its units lie in one local member each."""
+        """Of each covariate, whether its units are alone in one local member each."""
         return tuple(map(self.is_local, self.knots))
 
     def lengths(self, number: int) -> list[float]:
