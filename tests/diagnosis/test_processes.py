@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from simulated.network import network
 
 from benchmarks.hidden import launch, lengths
 from benchmarks.hidden.foreign import planted
@@ -13,13 +14,18 @@ from metrocli.cli.diagnosis_report.findings import of_diagnosis
 from metrocli.diagnosis.correlated_error import CorrelatedError
 from metrocli.diagnosis.diagnose import diagnose
 from metrocli.diagnosis.evidence.functions import process_bases
+from metrocli.diagnosis.evidence.measured_job import measurement_of
+from metrocli.diagnosis.evidence.state import State
+from metrocli.diagnosis.explanations import correlated_errors
 from metrocli.diagnosis.findings import Diagnosis, Verdict
 from metrocli.diagnosis.job_entries import proposed_noise
 from metrocli.diagnosis.linear.linearised import linearised
 from metrocli.diagnosis.verdict import as_data
 from metrocli.effects.covariates import around_circle, between_knots
-from metrocli.project.diagnosed import Extended
+from metrocli.project.diagnosed import Extended, adjusted_job_of
+from metrocli.project.job import load
 from metrocli.tasks import KINDS
+from tests.diagnosis.evidence.test_dense import with_residual
 
 
 def wavering(seed: int, effect: str = "", times: float = 3.0) -> tuple[Diagnosis, str]:
@@ -236,6 +242,25 @@ def test_the_size_of_a_process_is_in_the_unit_of_the_readings_that_show_it() -> 
     (shown,) = as_data(with_wavering_distances())["processes"]
     assert shown["std"]["unit"] == "um"
     assert shown["std"]["value"] == pytest.approx(3e3 * launch.DISTANCE, abs=3 * shown["std"]["std"])
+
+
+@pytest.mark.parametrize("station", [-1, 1])
+def test_the_size_of_a_process_is_that_of_the_readings_that_have_it(station: int, tmp_path: Path) -> None:
+    """Errors over the azimuth of all stations, or of one of three: distances and angles, of which angles show more."""
+    m = measurement_of(adjusted_job_of(load(network(np.random.default_rng(61), 3, 40, faces=2).write(tmp_path))))
+    part, shares = m.correlated(0, m.lengths(0)[-1], station), []
+    assert m.knots[0].functions.by == "station" and part.columns.any(axis=1).mean() > (0.9 if station < 0 else 0.3)
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        off = 3 * part.columns @ rng.normal(size=part.columns.shape[1])
+        drawn = with_residual(m, rng.normal(size=m.system.rows) + off)
+        (found,) = correlated_errors(State.of(drawn, (), [m.correlated(0, m.lengths(0)[-1], station)], [2.0]))
+        groups = [group for group in m.job.model.readings if group.observations.unit == found.unit]
+        rows = np.any([m.system.rows_of(group) for group in groups], axis=0) & (off != 0)
+        left = m.system.seen(off)
+        sizes = [np.sqrt(np.mean((one * m.system.scale)[rows] ** 2)) for one in (off, left)]
+        shares.append([found.std / sizes[0], found.std * found.visible / sizes[1]])
+    assert np.median(shares, axis=0) == pytest.approx([1, 1], abs=0.1)
 
 
 def test_what_wavers_in_another_unit_than_the_misfit_is_no_small_share_of_it() -> None:
