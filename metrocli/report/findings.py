@@ -21,8 +21,8 @@ from metrocli.result import SCALE, Estimate, K, Result
 from metrocli.units import two_digits
 from metrocli.words import in_a_row, listed
 
-_CLEAN = ("clean", "explained")
-_MEASURANDS = 3
+_CLEAN = ("clean", "explained", "not-decided")
+_MEASURANDS, _SHOWN = 3, 5
 _EQUAL = 1e-4
 """Readings whose |w| differ by this share are checked by the same readings: any of them may be the wrong one"""
 
@@ -59,6 +59,7 @@ _WRONG = {
     "indistinct": f"{_INCOMPLETE} has several causes that fit alike",
     "unexplained": f"{_INCOMPLETE} finds structure without a known cause",
     "mistaken": "one of its files is wrong, by the diagnosis",
+    "not-decided": "its diagnosis is a quick one, the first answer",
 }
 """What verdicts mean for the result"""
 
@@ -74,7 +75,7 @@ def _limits(data: Mapping[str, Any]) -> str:
 def _ended(data: Mapping[str, Any]) -> str:
     """Return how a diagnosis ended before all was tried; empty if it did not."""
     limited = f"ended at its limit of {data['limited']:g} s" if data.get("limited") is not None else ""
-    return "was interrupted" if data.get("interrupted") else limited
+    return "was a quick one" if data.get("quick") else "was interrupted" if data.get("interrupted") else limited
 
 
 def verdict(content: Content) -> tuple[str, str]:
@@ -215,8 +216,8 @@ _MEANING = {
     "indistinct": "a cause is present, and others explain the readings as well",
     "unexplained": "structure is left that no known cause explains",
     "mistaken": "a file is wrong; all else is for the corrected file",
+    "not-decided": "what explains most; the search for the rest was left out",
 }
-_SHOWN = 5
 
 
 def diagnosed(content: Content) -> Iterator[str | Html]:
@@ -293,8 +294,7 @@ def _left(data: Mapping[str, Any]) -> Iterator[str]:
         each = f" of each {process['of_each']} by itself" if process.get("of_each") else ""
         each = f" of {process['of_each']} {process['of']}" if process.get("of") else each
         size = micro(f"{two_digits(process['std']['value'])} {process['std']['unit']}")
-        counts = "is" if process.get("in_uncertainties") else "is not"
-        counted = f"{size} (standard deviation); counts as noise, and {counts} in the uncertainties here"
-        yield f"Error that varies smoothly with {process['depends_on']}{each}: {counted}"
+        counts = f"counts as noise, and is{'' if process.get('in_uncertainties') else ' not'} in the uncertainties here"
+        yield f"Error that varies smoothly with {process['depends_on']}{each}: {size} (standard deviation); {counts}"
     if noise.get("as_declared") is False:
         yield f"Noise: {noise['ratio']:.2g} times what was declared, for which the uncertainties here are"

@@ -302,6 +302,7 @@ def test_traceability() -> None:
         ({"verdict": "clean"}, ["Verdict: clean: the residuals are what noise produces.", "Use or export the result."]),
         ({"verdict": "clean", "noise": {"as_declared": False, "ratio": 5.4}}, ["the noise is 5.4 times what was declared.", "Noise: 5.4 times", "Declare the noise"]),
         ({"verdict": "clean", "interrupted": True}, ["the diagnosis was interrupted.", "The search was interrupted; it may have missed causes.", "--limit 600s"]),
+        ({"verdict": "not-decided", "quick": True}, ["Done, but its diagnosis is a quick one", "The search was a quick one; it may have missed causes.", "Diagnose with more time"]),
         ({"verdict": "clean", "limited": 2.0}, ["the diagnosis ended at its limit of 2 s.", "The search ended at its limit of 2 s; it may", "--limit 600s"]),
         ({"verdict": "indistinct", "effects": [{"name": "a", "where": {}, "parameters": {}, "alternatives": [{"name": "b", "where": {"t": "L1"}}]}], "separate_by": ["again"]}, ["several causes that fit alike", "a: or instead b L1", "To tell the causes apart, measure: again"]),
     ],
