@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from metrocli.adjust.clusters.robust import ESTIMATED
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Index, Mask, Observations
@@ -117,7 +118,7 @@ Ordered = Callable[[Callable[[int], Any], Iterable[int]], Iterable[Any]]
 """Applies a function to numbers, as `map` does, perhaps on other processors; results have the order of the numbers."""
 
 
-_REPORTED = {"mm": ("um", "length"), "rad": ("urad", "angle"), "px": ("px", "pixel")}
+REPORTED = {"mm": ("um", "length"), "rad": ("urad", "angle"), "px": ("px", "pixel")}
 """Unit and dimension in which errors of readings are reported, by their internal unit"""
 
 
@@ -183,7 +184,12 @@ class AdjustedJob:
     @property
     def reading(self) -> tuple[str, str]:
         """Unit and dimension in which errors of readings are reported: those of the first group."""
-        return _REPORTED[self.model.readings[0].observations.unit]
+        return REPORTED[self.model.readings[0].observations.unit]
+
+    @property
+    def declares_noise(self) -> bool:
+        """Whether its whole noise is declared: no part of it follows the residuals."""
+        return not self.noise_model and ESTIMATED not in self.declared
 
 
 @dataclass(frozen=True)

@@ -135,17 +135,15 @@ def _confirmed(
         gained = gains(state, names, ordered, nested=not quick) if names else []
         judged = list(zip(state.named, names, gained, strict=False))
         nets = dict(zip((part.key for part in state.fixed), state.without_fixed().tolist(), strict=True))
-        against = [
-            (part, name, gain)
-            for part, name, gain in judged
-            if gain.log_score + (0.0 if quick else nets[part.key]) <= 0
-        ]
+        against = [one for one in judged if one[2].log_score + (0.0 if quick else nets[one[0].key]) <= 0]
+        unsure = None if against else least_sure(state, names)
+        against = against or [one for one in judged if one[0] is unsure]
         if not against:
-            unsure = least_sure(state, names)
-            if unsure is None:
-                return state, names, gained, tuple(lost)
-            against = [(part, name, gain) for part, name, gain in judged if part is unsure]
-        lost += [Unconfirmed(str(name.alternative), gain.log_score, name.level_of_size) for _, name, gain in against]
+            return state, names, gained, tuple(lost)
+        lost += [
+            Unconfirmed(str(name.alternative), gain.log_score, None if unsure is None else name.level_of_size)
+            for _, name, gain in against
+        ]
         state = state.minus([part for part, _, _ in against])
 
 
@@ -219,11 +217,12 @@ def _left(
     """
     # the most specific first: a law, an unknown cause, a smooth error, and what repeated readings share
     job, misfit = state.measurement.job, gain.before**2 if gain is not None and gain.before else None
-    significant = [error for error in correlated if error.log_level < np.log(_CORRELATED)]
-    smooth = 0.0
-    if significant and job.noise_model != STRUCTURED:
-        # shares of a misfit in one unit: errors of angles do not add to those of lengths
-        smooth = sum((error.std * error.visible) ** 2 for error in correlated if error.is_in_unit_of(job.reading[1]))
+    beyond = [error for error in correlated if error.log_level < np.log(_CORRELATED)]
+    significant = beyond if job.noise_model != STRUCTURED else []
+    # shares of a misfit in one unit: errors of angles do not add to those of lengths, nor are they little beside them
+    alike = [error for error in correlated if significant and error.is_in_unit_of(job.reading[1])]
+    smooth = sum((error.std * error.visible) ** 2 for error in alike)
+    misfit = misfit if all(error in alike for error in significant) else None
     law = next((law for law in laws if law.chosen), None)
     if law is not None:
         names = dict.fromkeys(name for term in law.terms for name in term.form.variables)
@@ -240,16 +239,16 @@ def _left(
             *_shares(size, misfit, smooth),
             job.noise_model == STRUCTURED,
         )
-    if significant and job.noise_model != STRUCTURED:
+    if significant:
         best = min(significant, key=lambda error: error.log_level)
         names = dict.fromkeys(error.covariate for error in significant)
-        where = (best.place,) if best.place else ()
         return RemainingStructure(
             float(np.exp(best.log_level)),
             tuple(names),
-            where,
+            (best.place,) if best.place else (),
             best.std * best.visible,
             smooth / misfit if misfit else None,
+            unit=best.unit,
         )
     if repeats is not None and repeats.lack_of_fit < _LACK_OF_FIT:
         return RemainingStructure(repeats.lack_of_fit, (REPEATS,))
@@ -262,8 +261,8 @@ def _left(
 
 
 def _shares(size: float, misfit: float | None, smooth: float) -> tuple[float | None, float]:
-    """Return the share of a misfit, and that of the squares of smooth errors beside it."""
-    return (size**2 / misfit, smooth / misfit) if size and misfit else (None, 0.0)
+    """Return the share in a misfit of what both its sides have, and that of the squares of smooth errors beside it."""
+    return (size**2 / (misfit + size**2), smooth / (misfit + size**2)) if size and misfit else (None, 0.0)
 
 
 def _size(state: State, part: Fixed) -> float:

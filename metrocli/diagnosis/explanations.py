@@ -10,6 +10,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from metrocli.adjust.model.observations import Mask
 from metrocli.diagnosis.correlated_error import CorrelatedError
 from metrocli.diagnosis.evidence.folds import gain_of_parts
 from metrocli.diagnosis.evidence.measurement import LENGTHS
@@ -111,12 +112,14 @@ def _correlated(state: State, number: int) -> CorrelatedError:
     gain = state.score + component.price - less.score
     without = (move for move in effects(less) if move.net > 0)
     functions = m.knots[component.key[0]].functions
-    unit, shown = _showing(state, less, list(functions.sigmas))
+    unit, rows = _showing(state, less, component, list(functions.sigmas))
     visible = _visible(state, component)
     std = float(np.sqrt(np.exp(state.logs[number]) * state.fit.squares / state.fit.dof)) * functions.sigmas[unit]
     if len(functions.sigmas) > 1:
         # one variance is for all, in units of their noise; what readings of one unit show is theirs
-        std = shown / visible
+        visible = visible if component.local else _visible_at(state, component, rows)
+        shown = ((less.residual - state.residual) * m.system.scale)[rows]
+        std = float(np.sqrt((shown**2).mean())) / max(visible, 1e-300)
     count = m.tried * (functions.count if component.key[2] >= 0 else 1)
     level = min(log_level_of(gain) + float(np.log(count)), 0.0)
     place = m.job.model.places[functions.by].names[component.key[2]] if component.key[2] >= 0 else ""
@@ -135,15 +138,22 @@ def _correlated(state: State, number: int) -> CorrelatedError:
     )
 
 
-def _showing(state: State, less: State, units: Sequence[str]) -> tuple[str, float]:
-    """Return the unit of the readings that show most of what `less` is without, and its root mean square there."""
-    system = state.measurement.system
+def _showing(state: State, less: State, part: Random, units: Sequence[str]) -> tuple[str, Mask]:
+    """Return the unit of the readings that show most of a part, which `less` is without, and their rows."""
+    system, own = state.measurement.system, part.columns.any(axis=1)
     rows = {unit: np.zeros(system.rows, dtype=bool) for unit in units}
     for group in system.model.readings:
-        rows[group.observations.unit] |= system.rows_of(group)
+        rows[group.observations.unit] |= system.rows_of(group) & own
     change = less.residual - state.residual
-    unit = max(units, key=lambda kind: float((change[rows[kind]] ** 2).sum()))
-    return unit, float(np.sqrt(((change * system.scale)[rows[unit]] ** 2).mean()))
+    return max(rows.items(), key=lambda one: float((change[one[1]] ** 2).sum()))
+
+
+def _visible_at(state: State, part: Random, rows: Mask) -> float:
+    """Return the share of a correlated error that the unknowns leave in some of the readings that have it."""
+    seen, whole = (
+        float((columns[rows] ** 2).sum()) for columns in (state.measurement.system.seen(part.columns), part.columns)
+    )
+    return float(np.sqrt(seen / max(whole, 1e-300)))
 
 
 def _visible(state: State, part: Random) -> float:

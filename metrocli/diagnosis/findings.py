@@ -84,14 +84,14 @@ class Unconfirmed:
     name: str
     """Of the effect, with its place"""
     log_score: float
-    size_level: float = 0.0
-    """Level at which its size differs from 0 beside what it changes without single units"""
+    size_level: float | None = None
+    """Level at which its size differs from 0 beside what it changes without single units, if that speaks against it"""
 
     @property
     def against(self) -> str:
         """What speaks against it, in words."""
-        if self.log_score <= 0:
-            return f"log score {self.log_score:+.1f}"
+        if self.size_level is None:
+            return f"log score {self.log_score:+.1f}{'' if self.log_score <= 0 else ', too little'}"
         return f"its size is within what it changes when parts of the readings are left out, p = {self.size_level:.2g}"
 
 

@@ -27,11 +27,14 @@ class RemainingStructure:
     size: float = 0.0
     """Its visible size: root mean square over those readings, in their unit"""
     share: float | None = None
-    """Its share in the squares of held-out errors without the effects; None if no effect is identified"""
+    """Its share in the squares of held-out errors without the effects; None if none is identified, or if it shows in
+    readings of another unit than these errors"""
     beside: float = 0.0
     """Share of errors that vary smoothly beside it, and that are left too"""
     declared: bool = False
     """Whether the noise that the job declares includes it"""
+    unit: str = ""
+    """Internal unit of these readings; empty for that of the report"""
 
 
 @dataclass(frozen=True)

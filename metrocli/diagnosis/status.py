@@ -33,6 +33,7 @@ class Status(StrEnum):
 
 
 UNCHECKED = "no reading is checked by the others"
+_ENDED = "the search ended before this was decided"
 _SWALLOWED = 0.1
 """Share of a signature that correlated errors and other effects must leave, so that the readings separate it"""
 _SMALLEST = 0.01
@@ -70,12 +71,17 @@ def spots(name: IdentifiedEffect) -> set[tuple[str, tuple[str, ...]]]:
     return {name.alternative.spot, *(rival.alternative.spot for rival in name.rivals)}
 
 
-def status_of_scatter(candidate: ScatterCandidate, named: Sequence[str]) -> str:
-    """Return the status of an effect that is sought at all its places at once, by the names that were found so."""
+def status_of_scatter(candidate: ScatterCandidate, named: Sequence[str], decided: bool = True) -> str:
+    """Return the status of an effect that is sought at all its places at once, by the names that were found so.
+
+    `decided` is whether the search came to its end.
+    """
     if candidate.effect.name in named:
         return Status.NAMED
     if not candidate.testable:
         return Status.NOT_TESTABLE
+    if not decided:
+        return Status.NOT_DECIDED
     return Status.EXCLUDED if candidate.detectable <= candidate.effect.plausible else Status.CANNOT_SEE
 
 
@@ -85,6 +91,8 @@ def reason_of_scatter(candidate: ScatterCandidate, word: str) -> str:
         return ""
     if word == Status.NOT_TESTABLE:
         return candidate.reason
+    if word == Status.NOT_DECIDED:
+        return _ENDED
     least = candidate.effect.parameters[0].sized(candidate.detectable)
     message = "excluded above" if word == Status.EXCLUDED else "detected from"
     return f"{message} a standard deviation of {least}"
@@ -115,7 +123,7 @@ def reason(candidate: DetectableCandidate, word: str, structure: Sequence[str] =
     if word == Status.NOT_DECIDED and candidate.required:
         return "its evidence would name it, but held-out readings do not confirm it or what stands for it"
     if word == Status.NOT_DECIDED:
-        return "the search ended before this was decided"
+        return _ENDED
     size, unit = parameter.readable(excluded_above(candidate))
     if word == Status.CANNOT_SEE and is_swallowed(candidate):
         what = f"structure in {' and '.join(structure)}" if structure else "what was found"
@@ -181,11 +189,13 @@ def candidates(
     missing = [
         _open(untested.effect, untested.where, Status.NOT_TESTED, untested.reason) for untested in design.not_tested
     ]
-    return tested + [_throughout(job, scatter, scattered) for scatter in design.scatters] + readings + missing
+    throughout = [
+        _throughout(job, scatter, status_of_scatter(scatter, scattered, decided)) for scatter in design.scatters
+    ]
+    return tested + throughout + readings + missing
 
 
-def _throughout(job: AdjustedJob, scatter: ScatterCandidate, scattered: Sequence[str]) -> dict[str, Any]:
-    word = status_of_scatter(scatter, scattered)
+def _throughout(job: AdjustedJob, scatter: ScatterCandidate, word: str) -> dict[str, Any]:
     entry = _open(scatter.effect, {}, word, reason_of_scatter(scatter, word))
     if not scatter.testable:
         return entry

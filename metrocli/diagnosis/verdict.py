@@ -10,7 +10,7 @@ import numpy as np
 from metrocli import units
 from metrocli.adjust.clusters.robust import STRUCTURED
 from metrocli.adjust.model.blocks import Array
-from metrocli.diagnosis.adjusted_job import AdjustedJob
+from metrocli.diagnosis.adjusted_job import REPORTED, AdjustedJob
 from metrocli.diagnosis.correlated_error import CorrelatedError
 from metrocli.diagnosis.detectability import Detectability
 from metrocli.diagnosis.evidence.gain import Gain
@@ -34,7 +34,8 @@ def as_data(diagnosis: Diagnosis) -> dict[str, Any]:
             "declared": diagnosis.job.declared,
             "ratio": noise.ratio,
             "interval": [noise.low, noise.high],
-            "as_declared": noise.as_declared,
+            # a noise that follows the residuals is not declared
+            "as_declared": noise.as_declared if diagnosis.job.declares_noise else None,
             "apart": [{unit.key: unit.name, "ratio": unit.ratio} for unit in diagnosis.variance_groups],
             "repeats": None if repeats is None else {"ratio": repeats.ratio, "lack_of_fit": repeats.lack_of_fit},
         },
@@ -210,7 +211,7 @@ def _gain(gain: Gain, job: AdjustedJob) -> dict[str, Any]:
 
 
 def _left(job: AdjustedJob, left: RemainingStructure) -> dict[str, Any]:
-    unit = units.find_unit(*job.reading)
+    unit = units.find_unit(*REPORTED.get(left.unit, job.reading))
     return {
         "p_value": left.p_value,
         "depends_on": list(left.depends_on),

@@ -21,8 +21,8 @@ from metrocli.result import SCALE, Estimate, K, Result
 from metrocli.units import two_digits
 from metrocli.words import in_a_row, listed
 
-_CLEAN = ("clean", "explained")
-_MEASURANDS = 3
+_CLEAN = ("clean", "explained", "not-decided")
+_MEASURANDS, _SHOWN = 3, 5
 _EQUAL = 1e-4
 """Readings whose |w| differ by this share are checked by the same readings: any of them may be the wrong one"""
 
@@ -59,6 +59,7 @@ _WRONG = {
     "indistinct": f"{_INCOMPLETE} has several causes that fit alike",
     "unexplained": f"{_INCOMPLETE} finds structure without a known cause",
     "mistaken": "one of its files is wrong, by the diagnosis",
+    "not-decided": "its diagnosis is a quick one, the first answer",
 }
 """What verdicts mean for the result"""
 
@@ -68,8 +69,13 @@ def _limits(data: Mapping[str, Any]) -> str:
     count, noise = len(data.get("outliers", ())), data.get("noise") or {}
     wrong = f"the diagnosis lists {count} wrong reading{'s' if count > 1 else ''}" if count else ""
     other = f"the noise is {noise['ratio']:.2g} times what was declared" if noise.get("as_declared") is False else ""
-    ended = "the diagnosis ended at its limit of time" if data.get("limited") is not None else ""
-    return " and ".join(filter(None, [wrong, other, ended]))
+    return " and ".join(filter(None, [wrong, other, _ended(data) and f"the diagnosis {_ended(data)}"]))
+
+
+def _ended(data: Mapping[str, Any]) -> str:
+    """Return how a diagnosis ended before all was tried; empty if it did not."""
+    limited = f"ended at its limit of {data['limited']:g} s" if data.get("limited") is not None else ""
+    return "was a quick one" if data.get("quick") else "was interrupted" if data.get("interrupted") else limited
 
 
 def verdict(content: Content) -> tuple[str, str]:
@@ -185,7 +191,7 @@ def next_step(content: Content) -> str | Html:
             return "Check the wrong readings, measure them again or leave them out, and run the job again."
         if held.data.get("verdict") not in _CLEAN:
             return "The residuals have structure that no known effect explains: measure what would separate causes."
-        if held.data.get("limited") is not None:
+        if _ended(held.data):
             return Html(f"Diagnose with more time: {code(f'metrocli diagnose {content.job} --limit 600s')}.")
         if _limits(held.data):
             return "Declare the noise that the readings have, or `noise: estimated`, and run the job again."
@@ -210,8 +216,8 @@ _MEANING = {
     "indistinct": "a cause is present, and others explain the readings as well",
     "unexplained": "structure is left that no known cause explains",
     "mistaken": "a file is wrong; all else is for the corrected file",
+    "not-decided": "what explains most; the search for the rest was left out",
 }
-_SHOWN = 5
 
 
 def diagnosed(content: Content) -> Iterator[str | Html]:
@@ -242,8 +248,8 @@ def _lines(data: Mapping[str, Any]) -> Iterator[str]:
     yield from _left(data)
     if data.get("separate_by"):
         yield f"To tell the causes apart, measure: {'; '.join(data['separate_by'])}"
-    if data.get("limited") is not None:
-        yield f"The search ended at its limit of {data['limited']:g} s; it may have missed causes."
+    if _ended(data):
+        yield f"The search {_ended(data)}; it may have missed causes."
 
 
 def _first(lines: Sequence[str], what: str) -> Iterator[str]:
@@ -288,10 +294,7 @@ def _left(data: Mapping[str, Any]) -> Iterator[str]:
         each = f" of each {process['of_each']} by itself" if process.get("of_each") else ""
         each = f" of {process['of_each']} {process['of']}" if process.get("of") else each
         size = micro(f"{two_digits(process['std']['value'])} {process['std']['unit']}")
-        counts = (
-            "is in the uncertainties here" if process.get("in_uncertainties") else "is not in the uncertainties here"
-        )
-        counted = f"{size} (standard deviation); counts as noise, and {counts}"
-        yield f"Error that varies smoothly with {process['depends_on']}{each}: {counted}"
+        counts = f"counts as noise, and is{'' if process.get('in_uncertainties') else ' not'} in the uncertainties here"
+        yield f"Error that varies smoothly with {process['depends_on']}{each}: {size} (standard deviation); {counts}"
     if noise.get("as_declared") is False:
         yield f"Noise: {noise['ratio']:.2g} times what was declared, for which the uncertainties here are"

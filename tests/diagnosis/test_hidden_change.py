@@ -7,12 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.hidden import lengths, machine
+from benchmarks.hidden import launch, lengths, machine
 from benchmarks.hidden.lengths import Measurement, signature
 from metrocli.diagnosis.adjusted_job import AdjustedJob
-from metrocli.diagnosis.detectability import DetectableCandidate
+from metrocli.diagnosis.detectability import DetectableCandidate, design
 from metrocli.diagnosis.diagnose import diagnose, what_can_be_seen
+from metrocli.diagnosis.evidence.measured_job import measurement_of
+from metrocli.diagnosis.evidence.state import State
+from metrocli.diagnosis.evidence.weights import with_noise
 from metrocli.diagnosis.findings import Verdict
+from metrocli.diagnosis.noise import VarianceGroup, weights_of
 from metrocli.instruments import tracer
 
 TRIALS, MISSED = 20, 3
@@ -93,3 +97,18 @@ def test_tables_count_as_they_are_reported_where_no_knot_is_at_the_zero_of_the_a
     assert 1.05 < found.undetected.size / float(sizes.max()) < 1.25
     names = [f"axis {axis} {name}" for axis in "XYZ" for name in jobs[0].model.blocks[f"axis {axis}"].members]
     assert found.undetected.member == names[int(sizes.argmax())]
+
+
+@pytest.mark.parametrize("kind", ["lengths", "launch"])
+def test_beside_a_noisier_group_it_is_that_of_an_adjustment_with_these_weights(kind: str) -> None:
+    """Points and the unit follow the readings by their new weights, and candidates that are hardly visible do as well."""
+    rng = np.random.default_rng(3)
+    job = lengths.measurement(rng, 20).adjusted() if kind == "lengths" else launch.measurement(rng, True).adjusted()
+    m = measurement_of(job)
+    noisier = VarianceGroup(*m.units[0][:2], 3.0)
+    weighted = with_noise(m, {0: 3.0})
+    afresh = measurement_of(job, weights_of(job, [noisier]), m)
+    both = [design(State.of(one)).candidates for one in (weighted, afresh)]
+    assert [one.undetected.size for one in both[0]] == pytest.approx([one.undetected.size for one in both[1]], rel=1e-6)
+    for family, same in zip(weighted.families, afresh.families, strict=True):
+        assert family.raw == pytest.approx(same.raw)

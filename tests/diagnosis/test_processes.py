@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from simulated.network import network
 
 from benchmarks.hidden import launch, lengths
 from benchmarks.hidden.foreign import planted
@@ -13,13 +14,18 @@ from metrocli.cli.diagnosis_report.findings import of_diagnosis
 from metrocli.diagnosis.correlated_error import CorrelatedError
 from metrocli.diagnosis.diagnose import diagnose
 from metrocli.diagnosis.evidence.functions import process_bases
+from metrocli.diagnosis.evidence.measured_job import measurement_of
+from metrocli.diagnosis.evidence.state import State
+from metrocli.diagnosis.explanations import correlated_errors
 from metrocli.diagnosis.findings import Diagnosis, Verdict
 from metrocli.diagnosis.job_entries import proposed_noise
 from metrocli.diagnosis.linear.linearised import linearised
 from metrocli.diagnosis.verdict import as_data
 from metrocli.effects.covariates import around_circle, between_knots
-from metrocli.project.diagnosed import Extended
+from metrocli.project.diagnosed import Extended, adjusted_job_of
+from metrocli.project.job import load
 from metrocli.tasks import KINDS
+from tests.diagnosis.evidence.test_dense import with_residual
 
 
 def wavering(seed: int, effect: str = "", times: float = 3.0) -> tuple[Diagnosis, str]:
@@ -113,6 +119,8 @@ def test_a_clean_report_states_that_uncertainties_are_without_the_smooth_error()
         assert of_diagnosis(taken, None).splitlines()[0] == "verdict: clean"
         assert "The standard uncertainties of the result include it." in of_diagnosis(taken, None)
         assert as_data(taken)["processes"][0]["in_uncertainties"] is True
+        # nothing is declared where the noise follows the residuals
+        assert as_data(found)["noise"]["as_declared"] is True and as_data(taken)["noise"]["as_declared"] is None
 
 
 def test_names_before_processes_are_raced_may_be_chance_and_the_report_states_it() -> None:
@@ -122,6 +130,15 @@ def test_names_before_processes_are_raced_may_be_chance_and_the_report_states_it
     assert stated in of_diagnosis(replace(found, limited=5.0, correlated_errors=()), None).splitlines()
     assert stated not in of_diagnosis(replace(found, limited=5.0), None)
     assert stated not in of_diagnosis(replace(found, correlated_errors=()), None)
+
+
+def test_an_extended_job_without_effects_is_not_said_to_have_them() -> None:
+    """What held-out readings do not confirm is in no extended job."""
+    found, _ = wavering(5, "dead-path-drift", 6.0)
+    written = Extended(Path("job.extended.yaml"), None)
+    assert "the job extended by the named effects and with `noise: structured`" in of_diagnosis(found, written)
+    lost = tuple(replace(one, gain=replace(one.gain, log_score=-0.1)) for one in found.findings)
+    assert "extended by the named effects" not in of_diagnosis(replace(found, findings=lost), written)
 
 
 @pytest.mark.slow
@@ -209,17 +226,51 @@ def test_a_process_varies_within_its_units() -> None:
     assert not {("t_s", "image"), ("temp_degC", "image")} & found
 
 
-def test_the_size_of_a_process_is_in_the_unit_of_the_readings_that_show_it() -> None:
-    """Distances that waver by three times their noise, beside encoders that do not."""
+def with_wavering_distances(effect: str = "") -> Diagnosis:
+    """Return the diagnosis of a launch unit whose distances waver by three times their noise, and its encoders do not."""
     rng = np.random.default_rng([93, 0])
     m = launch.measurement(rng, True)
-    share = (m.t - m.t.min()) / np.ptp(m.t)
-    wave = sum(np.cos(2 * np.pi * k * share + rng.uniform(0, 6)) for k in (1,))
+    if effect:
+        m, _ = launch.planted(m, rng, effect, 20.0)
+    wave = np.cos(2 * np.pi * (m.t - m.t.min()) / np.ptp(m.t) + rng.uniform(0, 6))
     off = np.zeros_like(m.read)
     off[4] = 3 * launch.DISTANCE * wave / np.std(wave)
-    (shown,) = as_data(diagnose(replace(m, read=m.read + off).adjusted()))["processes"]
+    return diagnose(replace(m, read=m.read + off).adjusted())
+
+
+def test_the_size_of_a_process_is_in_the_unit_of_the_readings_that_show_it() -> None:
+    (shown,) = as_data(with_wavering_distances())["processes"]
     assert shown["std"]["unit"] == "um"
     assert shown["std"]["value"] == pytest.approx(3e3 * launch.DISTANCE, abs=3 * shown["std"]["std"])
+
+
+@pytest.mark.parametrize("station", [-1, 1])
+def test_the_size_of_a_process_is_that_of_the_readings_that_have_it(station: int, tmp_path: Path) -> None:
+    """Errors over the azimuth of all stations, or of one of three: distances and angles, of which angles show more."""
+    m = measurement_of(adjusted_job_of(load(network(np.random.default_rng(61), 3, 40, faces=2).write(tmp_path))))
+    part, shares = m.correlated(0, m.lengths(0)[-1], station), []
+    assert m.knots[0].functions.by == "station" and part.columns.any(axis=1).mean() > (0.9 if station < 0 else 0.3)
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        off = 3 * part.columns @ rng.normal(size=part.columns.shape[1])
+        drawn = with_residual(m, rng.normal(size=m.system.rows) + off)
+        (found,) = correlated_errors(State.of(drawn, (), [m.correlated(0, m.lengths(0)[-1], station)], [2.0]))
+        groups = [group for group in m.job.model.readings if group.observations.unit == found.unit]
+        rows = np.any([m.system.rows_of(group) for group in groups], axis=0) & (off != 0)
+        left = m.system.seen(off)
+        sizes = [np.sqrt(np.mean((one * m.system.scale)[rows] ** 2)) for one in (off, left)]
+        shares.append([found.std / sizes[0], found.std * found.visible / sizes[1]])
+    assert np.median(shares, axis=0) == pytest.approx([1, 1], abs=0.1)
+
+
+def test_what_wavers_in_another_unit_than_the_misfit_is_no_small_share_of_it() -> None:
+    """Beside an encoder that is named, errors of distances are left: they are no urad, and not 0 % of those."""
+    found = with_wavering_distances("encoder-eccentricity")
+    assert found.findings and found.left is not None
+    assert found.verdict == Verdict.UNEXPLAINED and found.left.share is None
+    size = as_data(found)["unexplained"]["size"]
+    assert size["unit"] == "um" and size["value"] == pytest.approx(3e3 * launch.DISTANCE, rel=0.3)
+    assert f"varies with t_s, {size['value']:.1f} um (root mean square)" in of_diagnosis(found, None)
 
 
 def test_white_noise_has_no_process() -> None:

@@ -9,13 +9,19 @@ import pytest
 
 from benchmarks.hidden import images, launch
 from benchmarks.hidden.scenes import part_scene
+from metrocli.cli.diagnosis_report.candidates import candidate_lines
 from metrocli.cli.diagnosis_report.findings import of_diagnosis
+from metrocli.diagnosis.detectability import Detectability
 from metrocli.diagnosis.diagnose import diagnose
 from metrocli.diagnosis.evidence.measured_job import measurement_of
 from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.evidence.variances import scattered_effects
 from metrocli.diagnosis.findings import Diagnosis
+from metrocli.diagnosis.hidden_change import UndetectedBias
+from metrocli.diagnosis.power.average_power import ScatterCandidate
+from metrocli.diagnosis.status import candidates
 from metrocli.diagnosis.verdict import as_data
+from metrocli.tasks.calibrate_machine.effects import OF_LENGTHS
 
 
 def unit(seed: int, distances: bool, off: float = 0.0, noisier: tuple[float, ...] = (1.0,) * 5) -> Diagnosis:
@@ -97,3 +103,16 @@ def test_one_bad_pose_and_none_are_no_scatter() -> None:
     true = replace(m, receivers=m.receivers + off)
     found = diagnose(replace(m, read=true.predicted() + rng.normal(size=m.read.shape) * m.sigma).adjusted())
     assert [str(one.effect.alternative) for one in found.findings] == ["bad-pose P7"] and not found.scatters
+
+
+def test_a_search_that_ended_early_excludes_no_scatter() -> None:
+    """What the search did not reach is neither there nor excluded."""
+    job = launch.measurement(np.random.default_rng(7), True).adjusted()
+    effect = next(effect for effect in OF_LENGTHS if effect.throughout)
+    sought = ScatterCandidate(effect, effect.plausible / 2, UndetectedBias(0.0))
+    design = Detectability((), (), (), scatters=(sought,))
+    for decided, word in ((True, "excluded"), (False, "not-decided")):
+        (entry,) = candidates(job, design, [], (), decided)
+        assert entry["status"] == word
+        line = candidate_lines(job, design, [], (), decided)[1]
+        assert word in line and ("the search ended before this was decided" in line) is not decided

@@ -301,7 +301,9 @@ def test_traceability() -> None:
         ({"verdict": "mistaken", "mistake": {"file": "points", "what": "is in inches", "write": "unit: mm"}, "extended_job": "x.extended.yaml"}, ["one of its files is wrong", "Mistake in points: is in inches; write: unit: mm", "Correct the mistake"]),
         ({"verdict": "clean"}, ["Verdict: clean: the residuals are what noise produces.", "Use or export the result."]),
         ({"verdict": "clean", "noise": {"as_declared": False, "ratio": 5.4}}, ["the noise is 5.4 times what was declared.", "Noise: 5.4 times", "Declare the noise"]),
-        ({"verdict": "clean", "limited": 2.0}, ["ended at its limit of time", "limit of 2 s", "--limit 600s"]),
+        ({"verdict": "clean", "interrupted": True}, ["the diagnosis was interrupted.", "The search was interrupted; it may have missed causes.", "--limit 600s"]),
+        ({"verdict": "not-decided", "quick": True}, ["Done, but its diagnosis is a quick one", "The search was a quick one; it may have missed causes.", "Diagnose with more time"]),
+        ({"verdict": "clean", "limited": 2.0}, ["the diagnosis ended at its limit of 2 s.", "The search ended at its limit of 2 s; it may", "--limit 600s"]),
         ({"verdict": "indistinct", "effects": [{"name": "a", "where": {}, "parameters": {}, "alternatives": [{"name": "b", "where": {"t": "L1"}}]}], "separate_by": ["again"]}, ["several causes that fit alike", "a: or instead b L1", "To tell the causes apart, measure: again"]),
     ],
 )  # fmt: skip

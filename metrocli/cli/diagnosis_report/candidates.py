@@ -43,7 +43,9 @@ def candidate_lines(
         word = "detectable" if named is None and word == status.Status.EXCLUDED else word
         rows.setdefault((candidate.alternative.effect.form, word), []).append(candidate)
     lines = [_line(adjusted, design, name, word, candidates) for (name, word), candidates in rows.items()]
-    lines += [_of_scatter(adjusted, scatter, named is None, scattered) for scatter in design.scatters]
+    for scatter in design.scatters:
+        word = status.status_of_scatter(scatter, scattered, decided)
+        lines.append(_of_scatter(adjusted, scatter, word, named is None))
     lines += [_of_readings(adjusted, reading, named is None) for reading in design.readings]
     alike: dict[tuple[str, str], list[str]] = {}
     for untested in design.not_tested:
@@ -59,7 +61,7 @@ def count_of_candidates(diagnosis: Diagnosis) -> str:
     scattered = [scatter.effect.name for scatter in diagnosis.scatters]
     decided = not diagnosis.ended_early
     words = [status.status(candidate, named, decided) for candidate in diagnosis.design.candidates]
-    words += [status.status_of_scatter(scatter, scattered) for scatter in diagnosis.design.scatters]
+    words += [status.status_of_scatter(scatter, scattered, decided) for scatter in diagnosis.design.scatters]
     words += [_NOT_TESTED for _ in diagnosis.design.not_tested]
     counts = ", ".join(f"{count} {word}" for word, count in Counter(words).items())
     return f"candidates: {counts}; `--full` lists them with what each could hide" if counts else "no candidates"
@@ -109,23 +111,14 @@ def _status(word: str, sizes: Sequence[float], parameter: Parameter) -> str:
     return f"{word} {between[word]} {_span(min(sizes), max(sizes), parameter)}" if word in between else word
 
 
-def _of_scatter(
-    adjusted: AdjustedJob, scatter: ScatterCandidate, open_yet: bool, scattered: Sequence[str]
-) -> tuple[str, ...]:
-    word = str(status.status_of_scatter(scatter, scattered))
+def _of_scatter(adjusted: AdjustedJob, scatter: ScatterCandidate, word: str, open_yet: bool) -> tuple[str, ...]:
     if not scatter.testable:
-        return scatter.effect.name, "everywhere", word, "", "", scatter.reason
-    word = "detectable" if open_yet and word == status.Status.EXCLUDED else word
-    usual = status.usual_beside(scatter.effect, scatter.detectable)
-    message = _status(word, [scatter.detectable], scatter.effect.parameters[0])
-    return (
-        scatter.effect.name,
-        "everywhere",
-        message,
-        usual,
-        _hidden(adjusted, scatter.undetected),
-        "sizes are standard deviations",
-    )
+        return scatter.effect.name, "everywhere", str(word), "", "", scatter.reason
+    message = "detectable" if open_yet and word == status.Status.EXCLUDED else str(word)
+    message = _status(message, [scatter.detectable], scatter.effect.parameters[0])
+    usual, hides = status.usual_beside(scatter.effect, scatter.detectable), _hidden(adjusted, scatter.undetected)
+    why = status.reason_of_scatter(scatter, word) if word == status.Status.NOT_DECIDED else ""
+    return scatter.effect.name, "everywhere", message, usual, hides, why or "sizes are standard deviations"
 
 
 def _of_readings(adjusted: AdjustedJob, wrong: WrongReading, open_yet: bool) -> tuple[str, ...]:

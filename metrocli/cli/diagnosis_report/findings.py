@@ -12,7 +12,7 @@ from metrocli.cli.diagnosis_report.candidates import candidate_lines, count_of_c
 from metrocli.cli.diagnosis_report.headline import LEAST_REDUCTION, headline, noise_lines, smooth, summary
 from metrocli.cli.diagnosis_report.laws import law_lines
 from metrocli.cli.diagnosis_report.text_table import text_table
-from metrocli.diagnosis.adjusted_job import AdjustedJob, MemberSubset
+from metrocli.diagnosis.adjusted_job import REPORTED, AdjustedJob, MemberSubset
 from metrocli.diagnosis.detectability import Detectability
 from metrocli.diagnosis.evidence.gain import Gain
 from metrocli.diagnosis.extended_fit import EffectSize
@@ -102,7 +102,8 @@ def _of_part(part: MemberSubset) -> str:
 
 def _extension(diagnosis: Diagnosis, law: Law | None) -> str:
     """Return what an extended job with a law, or without, has that the job has not."""
-    added = ["the named effects"] if diagnosis.findings or diagnosis.scatters else []
+    confirmed = any(finding.confirmed for finding in diagnosis.findings)
+    added = ["the named effects"] if confirmed or diagnosis.scatters else []
     added += ["the law"] if law is not None else []
     shared = _shared(diagnosis)
     if not added and not shared:
@@ -176,7 +177,8 @@ def _structure(diagnosis: Diagnosis) -> Iterator[str]:
         yield f"structure left: none beyond noise ({_chance(diagnosis.after)} for the strongest)"
         return
     where = f" in the readings of {', '.join(left.where)}" if left.where else ""
-    size = f", {units.sized(left.size, diagnosis.job.reading[1])} (root mean square)" if left.size else ""
+    _, dimension = REPORTED.get(left.unit, diagnosis.job.reading)
+    size = f", {units.sized(left.size, dimension)} (root mean square)" if left.size else ""
     size += "" if left.share is None else f", {100 * left.share:.2g} % of the misfit"
     yield f"structure left: {_chance(left.p_value)}, varies with {' and '.join(left.depends_on)}{where}{size}"
     yield f"  No known effect explains it. {_included(diagnosis)}"

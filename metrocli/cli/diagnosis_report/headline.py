@@ -23,8 +23,7 @@ def headline(diagnosis: Diagnosis) -> str:
     """Return the verdict with what limits it: wrong readings, and noise that is not as declared."""
     noise, count = diagnosis.noise, len(diagnosis.outliers)
     wrong = f", with {count} wrong reading{'s' if count > 1 else ''}" if count else ""
-    follows = diagnosis.job.noise_model or ESTIMATED in diagnosis.job.declared
-    compared = not (noise.as_declared or follows or diagnosis.quick)
+    compared = diagnosis.job.declares_noise and not (noise.as_declared or diagnosis.quick)
     limits = [f"the noise is {_times(noise.ratio)} times what was declared"] if compared else []
     groups = [noisier(unit) for unit in diagnosis.variance_groups if unit.key != DECLARED_SIGMA]
     several = f"{len(groups)} groups of readings are noisier or quieter than the others (below)"

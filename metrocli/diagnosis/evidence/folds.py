@@ -70,11 +70,13 @@ class _Nested:
         every_choice = ((name.key, self._chosen(whole, name)) for name in self.names)
         chosen = {key: choice for key, choice in every_choice if choice is not None}
         likely = {key: part for key, (part, weight) in chosen.items() if weight >= 0.5}
+        # wrong readings, and what has no known cause: waves, and the terms of a law
+        beside = [part for part in state.fixed if part.sort != EFFECT]
 
         def with_parts(parts: Mapping[Key, Fixed]) -> Held:
             # two names can have the same rival
             distinct = {part.key: part for part in parts.values()}
-            return whole.with_fixed((*distinct.values(), *state.readings)).predicted()
+            return whole.with_fixed((*distinct.values(), *beside)).predicted()
 
         every = with_parts(likely)
         pairs = []
@@ -222,6 +224,5 @@ def _estimates(parts: Sequence[Fixed], fit: Fit) -> dict[Key, tuple[Array, Array
     """Return sizes of the effects among some fixed parts of a fit, and their covariance for the variance 1."""
     sizes, root = fit.sizes[fit.fixed :], np.linalg.inv(fit.lower[fit.fixed :, fit.fixed :])
     covariance, ends = root.T @ root, np.cumsum([0, *(part.rank for part in parts)]).tolist()
-    # terms of laws have keys too, which can be those of an effect
     placed = zip(parts, pairwise(ends), strict=True)
     return {part.key: (sizes[a:b], covariance[a:b, a:b]) for part, (a, b) in placed if part.sort == EFFECT}

@@ -138,7 +138,8 @@ def unknown_families(job: AdjustedJob, system: Linearised) -> Iterator[Candidate
 
 def _family(system: Linearised, name: str, columns: Sequence[Array]) -> CandidateGroup:
     whole = CandidateColumns.of(np.stack(columns, axis=1))
-    alternatives = tuple(Candidate(_EFFECT, (str(number),)) for number in range(len(columns)))
+    # by covariate and number: one wave over a covariate is not that of another
+    alternatives = tuple(Candidate(_EFFECT, (name, str(number))) for number in range(len(columns)))
     return CandidateGroup(f"varies with {name}", alternatives, whole, whole.norms(), whole.grams(system.basis), name)
 
 

@@ -22,6 +22,7 @@ from metrocli.diagnosis.evidence.parts import (
     READINGS,
     SCATTER,
     TERM,
+    TERMS,
     UNKNOWN,
     Fixed,
     Knots,
@@ -98,17 +99,17 @@ class Measurement:
         return order, np.searchsorted(member[order], np.arange(members + 1))
 
     def is_local(self, knots: Knots) -> bool:
-        """Whether each unit of a covariate lies in one local member, so that its errors are eliminated with it."""
+        """Whether each unit of a covariate is alone in one local member, so that its errors are eliminated with it."""
         member, there = self.system.basis.member, knots.component >= 0
         if not knots.functions.by or self.system.basis.members < 2 or (member[there] < 0).any():
             return False
-        first = np.zeros(knots.functions.count, dtype=np.intp)
-        first[knots.unit[there]] = member[there]
-        return bool((first[knots.unit[there]] == member[there]).all())
+        # images of several cameras share the pose of their exposure
+        own = np.unique(np.stack([knots.unit[there], member[there]]), axis=1)
+        return all(len(np.unique(each)) == own.shape[1] for each in own)
 
     @cached_property
     def local(self) -> tuple[bool, ...]:
-        """Of each covariate, whether its units lie in one local member each."""
+        """Of each covariate, whether its units are alone in one local member each."""
         return tuple(map(self.is_local, self.knots))
 
     def lengths(self, number: int) -> list[float]:
@@ -191,9 +192,9 @@ class Measurement:
         return self.prices.of_columns(family, rank) + (OF_ALL if self.families[family].unknown else 0.0)
 
     def term(self, whole: Array, key: tuple[int, int], price: float) -> Fixed:
-        """Return the whole columns of a term of a law (rows, factors) as fixed columns."""
+        """Return the whole columns of a term of a law (rows, factors) as fixed columns, whose key no effect has."""
         seen = self.system.seen(whole)
-        return fixed(whole, seen.T @ seen, key, price, TERM)
+        return fixed(whole, seen.T @ seen, (TERMS - key[0], key[1]), price, TERM)
 
     def reading(self, number: int) -> Fixed:
         """Return the error of one reading as fixed columns."""

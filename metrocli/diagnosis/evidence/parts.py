@@ -12,8 +12,8 @@ from metrocli.adjust.model.observations import Index
 from metrocli.diagnosis.evidence.functions import Functions
 from metrocli.frozen import dataclass
 
-READINGS = -1
-"""Family of the errors of single readings"""
+READINGS, TERMS = -1, -2
+"""Family of the errors of single readings, and that of the terms of the first form; those of others are below"""
 EFFECT, READING, UNKNOWN, TERM = "effect", "reading", "unknown cause", "term of a law"
 """Sorts of fixed columns"""
 SCATTER, CORRELATED = "scatter", "correlated"

@@ -205,4 +205,6 @@ def _with_alternative(m: Measurement, number: int, alternative: Candidate, whole
         whole={**family.whole, family.columns.count: OwnColumns(np.arange(len(whole)), whole)},
     )
     bare = m.unweighted and _with_alternative(m.unweighted, number, alternative, whole / m.weights[:, None])
-    return replace(m, families=(*m.families[:number], grown, *m.families[number + 1 :]), unweighted=bare)
+    families = (*m.families[:number], grown, *m.families[number + 1 :])
+    # with a cache of its own: in another branch of the search its number is that of another value
+    return replace(m, families=families, unweighted=bare, held={**m.held})

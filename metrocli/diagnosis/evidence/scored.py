@@ -17,7 +17,7 @@ from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Mask
 from metrocli.diagnosis.evidence.likelihood import Fit, Products, fit_at, likeliest
 from metrocli.diagnosis.evidence.measurement import LENGTHS, Measurement
-from metrocli.diagnosis.evidence.parts import EFFECT, READINGS, SCATTER, UNKNOWN, Fixed, Random
+from metrocli.diagnosis.evidence.parts import EFFECT, SCATTER, UNKNOWN, Fixed, Random
 from metrocli.diagnosis.evidence.prices import FURTHER, PRIOR, gain_of_columns
 from metrocli.diagnosis.evidence.products import products_of
 from metrocli.diagnosis.linear.quadratics import solved
@@ -207,8 +207,12 @@ class Scored:
 
     def at(self, measurement: Measurement, random: bool = True) -> Self:
         """Return the state of the same parts, or of the fixed ones, in the measurement with other weights."""
-        keys = (part.key for part in self.fixed)
-        fixed = [measurement.reading(j) if i == READINGS else measurement.effect(i, j) for i, j in keys]
+        fixed = [
+            measurement.reading(part.number)
+            if part.is_reading
+            else replace(measurement.effect(*part.key), aliases=part.aliases)
+            for part in self.fixed
+        ]
         if not random:
             return type(self).of(measurement, fixed)
         here, there = self.measurement, measurement

@@ -19,6 +19,8 @@ from metrocli.diagnosis.evidence.reweighted import Reweighted
 from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.linear.basis import squared
 from metrocli.diagnosis.linear.candidates import CandidateGroup
+from metrocli.diagnosis.linear.column_parts import OwnColumns
+from metrocli.diagnosis.linear.columns import CandidateColumns
 from metrocli.diagnosis.linear.projection import Linearised
 from metrocli.diagnosis.noise import AS_OTHERS
 from metrocli.frozen import dataclass
@@ -110,7 +112,8 @@ def _system_weighted(measurement: Measurement, ratios: Mapping[int, float], fact
     """Return a measurement whose rows are multiplied by a factor, but not its candidates."""
     system = measurement.system
     basis, log_det = system.basis.weighted(factor)
-    bare = replace(system, basis=basis, scale=system.scale / factor)
+    solver = system.solver.weighted(system.basis, basis, factor, system.sizes[system.solver.places[1]])
+    bare = replace(system, basis=basis, solver=solver, scale=system.scale / factor)
     return replace(
         measurement,
         system=replace(bare, residual=bare.seen(system.residual * factor)),
@@ -142,15 +145,24 @@ def _families(measurement: Measurement, system: Linearised, factor: Array) -> tu
         if number not in at:
             found.append(_weighted(family, system, factor))
             continue
-        columns, shape = family.columns.weighted(factor), (family.columns.count, family.columns.parameters)
+        shape = family.columns.count, family.columns.parameters
         own, each = products[at[number], at[number]].reshape(*shape, *shape), np.arange(shape[0])
-        found.append(replace(family, columns=columns, raw=columns.norms(), gram=own[each, :, each]))
+        found.append(_of(family, family.columns.weighted(factor), own[each, :, each], factor))
     return tuple(found)
 
 
 def _weighted(family: CandidateGroup, system: Linearised, factor: Array) -> CandidateGroup:
     columns = family.columns.weighted(factor)
-    return replace(family, columns=columns, raw=columns.norms(), gram=columns.grams(system.basis))
+    return _of(family, columns, columns.grams(system.basis), factor)
+
+
+def _of(family: CandidateGroup, columns: CandidateColumns, gram: Array, factor: Array) -> CandidateGroup:
+    """Return a family with weighted columns of given products; so are whole ones, which have the norms."""
+    whole = {at: OwnColumns(own.rows, own.values * factor[own.rows, None]) for at, own in family.whole.items()}
+    raw = columns.norms()
+    for at, own in whole.items():
+        raw[at] = np.linalg.norm(own.values, axis=0)
+    return replace(family, columns=columns, raw=raw, gram=gram, whole=whole)
 
 
 def _knots(knots: Knots, factor: Array) -> Knots:

@@ -188,8 +188,7 @@ def _factored(
     if local.block is not None:
         places = np.where(local.members[:, None], whole.columns[local.block.name], -1)
     datum = _datum_of(frame, whole, model.blocks)
-    nothing = np.zeros((whole.width, 0))
-    solver = Solver(inverses, by_member, shared, (places, numbers), whole.width, *datum, nothing)
+    solver = Solver(inverses, by_member, shared, (places, numbers), whole.width, *datum)
     norms = np.zeros(whole.width)
     norms[numbers] = sizes
     squares = np.zeros((members + 1, rows.local.shape[1]))

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import scipy.linalg
 
-from metrocli.diagnosis.evidence.folds import gains
+from benchmarks.hidden import lengths
+from metrocli.diagnosis.evidence.folds import gain_of_parts, gains
 from metrocli.diagnosis.evidence.gain import Held
 from metrocli.diagnosis.evidence.held_out import Fold, Others
 from metrocli.diagnosis.evidence.identified import all_identified
+from metrocli.diagnosis.evidence.measured_job import measurement_of
+from metrocli.diagnosis.evidence.moves import effects
 from metrocli.diagnosis.evidence.state import State
+from metrocli.effects.covariates import Covariate
 from tests.diagnosis.evidence.test_dense import NETWORK, measurement, number_of_effect, unknowns, with_residual
 
 
@@ -62,3 +68,42 @@ def test_what_the_others_do_not_determine_is_taken_off_a_prediction() -> None:
     np.testing.assert_allclose(held.errors, error - basis @ (basis.T @ error), atol=1e-6)
     np.testing.assert_allclose(held.shares, 1 - (basis**2).sum(axis=1), atol=1e-9)
     assert held.shares.sum() == pytest.approx(len(rows) - 4) and held.variances.max() < 100
+
+
+def beside_waves(*sizes: float) -> State:
+    """Return the state of a network with a scale of a tracer, and a wave over each of as many covariates."""
+    rng = np.random.default_rng([77, 1])
+    job = lengths.measurement(rng, 60).adjusted()
+    group = job.model.readings[0]
+    order = [rng.permutation(group.observations.count).astype(float) for _ in sizes]
+    waves = [Covariate(f"order {number}", {group.name: one}, 3, periodic=True) for number, one in enumerate(order)]
+    m = measurement_of(replace(job, covariates=tuple(waves)), quick=True)
+    unknown = [number for number, family in enumerate(m.families) if family.unknown]
+    scale = number_of_effect(m, "tracer-scale")
+    off = 6 * m.effect(scale, 2).columns[:, 0]
+    for number, size in zip(unknown, sizes, strict=True):
+        off = off + size * m.whole(number, 7)[:, 0]
+    return State.of(with_residual(m, m.system.residual + off), [m.effect(scale, 2), m.effect(unknown[0], 7)])
+
+
+def test_an_effect_predicts_beside_what_has_no_known_cause() -> None:
+    """A wave of six times the noise is in the predictions with the effect and without it, or it would drown the effect."""
+    quiet, loud = beside_waves(0.0), beside_waves(6.0)
+    found = [gains(state, all_identified(state))[0] for state in (quiet, loud)]
+    assert found[1].log_score == pytest.approx(gain_of_parts(loud, loud.named).log_score, abs=1.0)
+    assert found[1].log_score == pytest.approx(found[0].log_score, abs=1.0)
+    assert found[1].log_score > 10 and found[1].before < 2 * found[0].before
+
+
+def test_a_wave_over_one_covariate_leaves_room_for_that_over_another() -> None:
+    """Both have the same number among the waves of their covariate."""
+    state = beside_waves(6.0, 5.0)
+    (first, *_) = effects(state)
+    assert [(state.measurement.families[part.family].unknown, part.number) for part in first.fixed] == [("order 1", 7)]
+
+
+def test_terms_of_laws_have_keys_of_their_own() -> None:
+    """What an effect adds is kept by its key: that of a term of the same numbers is another."""
+    m = beside_waves(0.0).measurement
+    effect, term = m.effect(0, 0), m.term(m.whole(0, 1), (0, 0), 1.0)
+    assert effect.key != term.key

@@ -96,3 +96,10 @@ def test_what_the_evidence_would_name_is_not_excluded() -> None:
     assert status(seen["axis-skew"], ()) == "not-decided"
     assert "held-out readings" in reason(seen["axis-skew"], "not-decided")
     assert status(seen["target-plane-bend"], ()) in ("excluded", "cannot-see")
+
+
+def test_what_speaks_against_an_effect_is_stated_as_it_is() -> None:
+    """A smooth effect leaves because its gain is too little beside its scatter: its size was not looked at."""
+    assert Unconfirmed("axis-skew", -0.5).against == "log score -0.5"
+    assert Unconfirmed("lens-shape everywhere", 1.3).against == "log score +1.3, too little"
+    assert "p = 0.2" in Unconfirmed("axis-skew", 1.3, 0.2).against

@@ -1,12 +1,18 @@
 """Scanned parameters are refined between the values that the scan tried."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 
-from metrocli.diagnosis.evidence.refined import _Scan
+from benchmarks.hidden import lengths, machine
+from metrocli.diagnosis.evidence.measured_job import measurement_of
+from metrocli.diagnosis.evidence.refined import _Scan, refined
+from metrocli.diagnosis.evidence.state import State
+from metrocli.diagnosis.evidence.weights import with_noise
 from metrocli.diagnosis.linear.candidates import Candidate
 from metrocli.tasks.adjust_network.effects import EFFECTS
+from tests.diagnosis.evidence.test_dense import number_of_effect, with_residual
 
 
 def test_forms_of_a_cause_without_the_parameter_are_no_neighbours() -> None:
@@ -25,3 +31,28 @@ def test_forms_of_a_cause_without_the_parameter_are_no_neighbours() -> None:
     found = scan._between(tried[1])
     assert found.min() > 100
     assert found.max() < 300
+
+
+def test_values_refined_in_two_branches_of_a_search_are_two() -> None:
+    """Screws of two axes, each refined beside nothing: the second must not have the products of the first."""
+    m = measurement_of(machine.measurement(np.random.default_rng(5), machine.SMALL).adjusted(), quick=True)
+    family = number_of_effect(m, "screw-pitch-error")
+    at = {}
+    for number, one in enumerate(m.families[family].alternatives):
+        at.setdefault(one.instance, []).append(number)
+    middle = [at[axis,][len(at[axis,]) // 2] for axis in ("x", "y")]
+    between = sum(m.whole(family, number)[:, 0] + m.whole(family, number + 1)[:, 0] for number in middle)
+    m = with_residual(m, m.system.residual + 3 * between)
+    for number in middle:
+        state = refined(State.of(m, [m.effect(family, number)]))
+        assert state.fixed[0].number != number
+        # least squares leave nothing along the columns
+        left = state.fixed[0].columns.T @ state.residual
+        assert np.abs(left).max() < 1e-6 * np.linalg.norm(m.system.residual)
+
+
+def test_other_values_that_fit_alike_stay_beside_other_noise() -> None:
+    m = measurement_of(lengths.measurement(np.random.default_rng(5), 20).adjusted(), quick=True)
+    alias = ("at", 3.0, 0.5)
+    state = State.of(m, [replace(m.effect(0, 0), aliases=(alias,)), m.reading(3)])
+    assert [part.aliases for part in state.at(with_noise(m, {0: 2.0})).fixed] == [(alias,), ()]

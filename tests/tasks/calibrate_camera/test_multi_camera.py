@@ -17,7 +17,9 @@ from scipy.spatial.transform import Rotation
 
 from metrocli.adjust.adjustment import adjust
 from metrocli.arrays import Array
+from metrocli.diagnosis.evidence.measured_job import measurement_of
 from metrocli.formats import hdf5
+from metrocli.project.diagnosed import adjusted_job_of
 from metrocli.project.job import load
 from metrocli.project.runner import content
 from metrocli.tasks.calibrate_camera.multi_camera.task import prepared
@@ -91,6 +93,17 @@ def test_lenses_and_pose_are_found(tmp_path: Path, metrocli: Metrocli) -> None:
     for name, value in truth.items():
         assert abs(found[name][0] - value) < 4 * found[name][1], name
     assert "mm from left" in ran.out
+
+
+def test_images_of_one_exposure_have_errors_of_their_own(tmp_path: Path) -> None:
+    """They share the pose of the exposure, and no smooth error: each image has its own functions."""
+    m = measurement_of(adjusted_job_of(load(job(tmp_path, seen(5)))))
+    (number,) = (number for number, knots in enumerate(m.knots) if knots.functions.by == "image")
+    columns = m.correlated(number, 0.25, -1).columns
+    image = m.knots[number].unit
+    for one in (0, 1):
+        others = columns[image == one].any(axis=0) & columns[image != one].any(axis=0)
+        assert columns[image == one].any() and not others.any()
 
 
 def test_opencv_finds_the_same_pose_with_the_same_lenses(tmp_path: Path, metrocli: Metrocli) -> None:
