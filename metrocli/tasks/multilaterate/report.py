@@ -73,7 +73,7 @@ def report(
     tables["not_controlled"] = hidden
     if probing is not None:
         tables["corrected"], joint = corrected(solved.network, solution, probing, arrays, part)
-        arrays["corrected_covariance"] = joint.each()
+        arrays["corrected_covariance"] = joint.of_points()
         feature_tables, feature_arrays, _ = fitted(features, tables["corrected"], joint)
         tables, arrays = tables | feature_tables, arrays | feature_arrays
     return Result(
