@@ -180,7 +180,7 @@ class _LensDerivatives:
         return np.asarray(undistorted * (_MULTIPLES[last] + np.clip(share, -1, 1) * (_MULTIPLES[1] - _MULTIPLES[0])))
 
     def image(self, values: Array, uv: Array, directions: Array) -> Array:
-        """Return the images (2 n,) of directions (2, n) by a lens with these values; `uv` are those by the lens as it is."""
+        """Return the images (2 n,) of directions (2, n) by a lens of these values; `uv` are those by its own."""
         lens = self.named(values)
         if self.convention != "backward":
             return np.concatenate(image_point(lens, directions[0], directions[1], self.convention == "fisheye"))
@@ -238,7 +238,7 @@ def coverage_note(statistics: Statistics) -> str:
 
 
 def corner_warnings(statistics: Statistics) -> list[str]:
-    """Return a warning if the lens is known badly in a corner; from a larger bound `metrocli.doubt` doubts the result."""
+    """Return a warning if the lens is known badly in a corner; `metrocli.doubt` has the bound of a doubt."""
     corner, width = (float(statistics[name]) for name in ("corner_std", "image_width"))  # type: ignore[arg-type]
     if corner <= _VAGUE_CORNER * width:
         return []

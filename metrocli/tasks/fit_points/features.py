@@ -19,7 +19,7 @@ from metrocli.tasks.shared.features.fit import least_squares
 from metrocli.tasks.shared.features.ideal import UNKNOWNS, IdealFeature
 from metrocli.tasks.shared.features.joint import JointCovariance
 from metrocli.tasks.shared.features.report import COVARIANCE, FEATURES, SHOWN, estimates_of, exchanging, fitted
-from metrocli.tasks.shared.features.wanted import RequestedFeature
+from metrocli.tasks.shared.features.requested import RequestedFeature
 from metrocli.tasks.shared.rounding import rounding_of
 from metrocli.units import sized
 

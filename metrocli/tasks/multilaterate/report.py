@@ -22,7 +22,7 @@ from metrocli.tasks.multilaterate.solve import AdjustedTracers
 from metrocli.tasks.multilaterate.uncontrolled import scale_warnings, uncontrolled
 from metrocli.tasks.shared.environment import blocks_of, estimates_of
 from metrocli.tasks.shared.features.report import FEATURES, SHOWN, exchanging, fitted
-from metrocli.tasks.shared.features.wanted import RequestedFeature
+from metrocli.tasks.shared.features.requested import RequestedFeature
 from metrocli.tasks.shared.joint_covariance import factors
 from metrocli.tasks.shared.lists import name_of
 from metrocli.tasks.shared.noise import NoiseFound

@@ -15,7 +15,7 @@ from metrocli.tasks.shared.features.fit import Criterion, FeatureFit, gradients,
 from metrocli.tasks.shared.features.ideal import NUMBERS, IdealFeature
 from metrocli.tasks.shared.features.joint import JointCovariance
 from metrocli.tasks.shared.features.minimum_zone import minimum_zone
-from metrocli.tasks.shared.features.wanted import RequestedFeature
+from metrocli.tasks.shared.features.requested import RequestedFeature
 from metrocli.tasks.shared.rounding import rounding_of, without_rounding
 from metrocli.words import listed
 
