@@ -117,6 +117,10 @@ Ordered = Callable[[Callable[[int], Any], Iterable[int]], Iterable[Any]]
 """Applies a function to numbers, as `map` does, perhaps on other processors; results have the order of the numbers."""
 
 
+_REPORTED = {"mm": ("um", "length"), "rad": ("urad", "angle"), "px": ("px", "pixel")}
+"""Unit and dimension in which errors of readings are reported, by their internal unit"""
+
+
 @dataclass(frozen=True)
 class AdjustedJob:
     """An adjusted job, as diagnosis uses it."""
@@ -133,8 +137,6 @@ class AdjustedJob:
     delivered: Delivered
     refit: Callable[[Model, Mapping[str, Mask]], Solution]
     """Adjusts a model derived from this one to some of the readings of each group"""
-    reading: tuple[str, str] = ("um", "length")
-    """Unit and dimension in which errors of held-out readings are reported"""
     replicates: Mapping[str, Index] = field(default_factory=dict)
     """For each group a label (n,) that is shared by readings repeated under the same conditions"""
     list_offset: float = 0.0
@@ -177,6 +179,11 @@ class AdjustedJob:
     """Further measurements that the kind of job proposes: in words, with the model of that measurement"""
     part: MemberSubset | None = None
     """The part of a larger job that this is; None if it is whole"""
+
+    @property
+    def reading(self) -> tuple[str, str]:
+        """Unit and dimension in which errors of readings are reported: those of the first group."""
+        return _REPORTED[self.model.readings[0].observations.unit]
 
 
 @dataclass(frozen=True)

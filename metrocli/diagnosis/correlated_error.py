@@ -36,9 +36,13 @@ class CorrelatedError:
     instead_of: tuple[Candidate, ...] = ()
     """The effects that are named without it, and not beside it"""
 
+    def is_in_unit_of(self, dimension: str) -> bool:
+        """Return whether its readings are of a dimension, so that its squares are a share of the misfit of these."""
+        return self.unit in ("", units.internal_unit(dimension))
+
     def shown(self, unit: str, dimension: str) -> tuple[float, float, str]:
         """Return its standard deviation, the standard uncertainty of that, and their unit: this one if it is theirs."""
-        if self.unit in ("", units.internal_unit(dimension)):
+        if self.is_in_unit_of(dimension):
             of_readings = units.find_unit(unit, dimension)
             return of_readings.outside(self.std), of_readings.outside(self.spread), of_readings.symbol
         size, symbol = units.column_unit(self.std, self.unit)
@@ -53,7 +57,7 @@ class CorrelatedError:
 
     def _in_its_unit(self, std: float, dimension: str) -> str:
         """Return a standard deviation in the unit that suits its size."""
-        if self.unit in ("", units.internal_unit(dimension)):
+        if self.is_in_unit_of(dimension):
             return units.sized(std, dimension)
         size, symbol = units.column_unit(std, self.unit)
         return f"{units.two_digits(std / size)} {symbol}"

@@ -223,7 +223,7 @@ def _left(
     smooth = 0.0
     if significant and job.noise_model != STRUCTURED:
         # shares of a misfit in one unit: errors of angles do not add to those of lengths
-        smooth = sum((error.std * error.visible) ** 2 for error in correlated if error.unit == job.reading[0])
+        smooth = sum((error.std * error.visible) ** 2 for error in correlated if error.is_in_unit_of(job.reading[1]))
     law = next((law for law in laws if law.chosen), None)
     if law is not None:
         names = dict.fromkeys(name for term in law.terms for name in term.form.variables)

@@ -13,7 +13,7 @@ from metrocli.cli.diagnosis_report.findings import of_diagnosis
 from metrocli.diagnosis.correlated_error import CorrelatedError
 from metrocli.diagnosis.diagnose import diagnose
 from metrocli.diagnosis.evidence.functions import process_bases
-from metrocli.diagnosis.findings import Diagnosis
+from metrocli.diagnosis.findings import Diagnosis, Verdict
 from metrocli.diagnosis.job_entries import proposed_noise
 from metrocli.diagnosis.linear.linearised import linearised
 from metrocli.diagnosis.verdict import as_data
@@ -149,6 +149,16 @@ def test_a_step_is_a_law_and_no_process() -> None:
 def test_an_effect_is_named_beside_what_wavers() -> None:
     found, place = wavering(5, "sphere-form")
     assert [str(one.effect.alternative) for one in found.findings] == [f"sphere-form {place}"]
+
+
+def test_what_wavers_beside_an_effect_is_a_share_of_the_misfit() -> None:
+    """Lengths are reported in um and held in mm: their errors are of one unit all the same."""
+    found, _ = wavering(1, "tracer-scale", 4.0)
+    (error,) = found.correlated_errors
+    assert found.left is not None and found.gain is not None
+    assert found.left.share == pytest.approx((error.std * error.visible / found.gain.before) ** 2)
+    assert found.left.share > 0.05 and found.verdict == Verdict.UNEXPLAINED
+    assert "um that vary with t_s remain" in of_diagnosis(found, None)
 
 
 def test_what_wavers_is_in_the_uncertainty_of_an_effect_beside_it() -> None:

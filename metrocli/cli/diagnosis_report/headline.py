@@ -56,7 +56,7 @@ def summary(diagnosis: Diagnosis) -> Iterator[str]:
     ]
     explained = f"{100 * gain.explained:.0f} %" if gain.explained > LEAST_REDUCTION else "little"
     verb, remains = "explain" if len(names) > 1 else "explains", ""
-    rest = [error for error in diagnosis.correlated_errors if error.unit == diagnosis.job.reading[0]]
+    rest = [error for error in diagnosis.correlated_errors if error.is_in_unit_of(diagnosis.job.reading[1])]
     if rest:
         size = units.sized(
             float(np.sqrt(sum((error.std * error.visible) ** 2 for error in rest))), diagnosis.job.reading[1]

@@ -18,7 +18,7 @@ from metrocli.adjust.model.observations import Index, Mask
 from metrocli.adjust.schur.layout import Layout, tied_members, without_elimination
 from metrocli.diagnosis.linear.basis import Basis, members_of_equal_size
 from metrocli.diagnosis.linear.projection import MOST_NUMBERS, Linearised, by_rows, scatter
-from metrocli.diagnosis.linear.quadratics import orthonormalised
+from metrocli.diagnosis.linear.quadratics import orthonormalised, triangular
 from metrocli.diagnosis.linear.solver import Solver
 from metrocli.effects.model import Model
 from metrocli.errors import InputError
@@ -209,12 +209,20 @@ def _orthonormal_members(columns: Array, member: Index, members: int) -> tuple[A
     for chosen, at in members_of_equal_size(member, members):
         size = np.linalg.norm(columns[at], axis=1)
         size = np.where(size > 0, size, 1.0)
-        u, s, vt = np.linalg.svd(columns[at] / size[:, None, :], full_matrices=False)
-        seen = s > _DEPENDENT * np.maximum(s[:, :1], 1e-300)
-        most = u.shape[2]
-        basis[at.ravel()[:, None], np.arange(most)] = (u * seen[:, None, :]).reshape(-1, most)
-        inverse = np.swapaxes(vt, 1, 2) * np.where(seen, 1 / np.where(seen, s, 1.0), 0.0)[:, None, :]
-        inverses[chosen, :, :most] = inverse / size[:, :, None]
+        unit = columns[at] / size[:, None, :]
+        # Cholesky factors take a fifth of the time of an SVD; twice, so that rounding leaves nothing of the first
+        first, weak = triangular(np.swapaxes(unit, 1, 2) @ unit)
+        first[weak] = 0.0
+        left = unit @ first
+        again, _ = triangular(np.swapaxes(left, 1, 2) @ left)
+        basis[at], inverses[chosen] = left @ again, first @ again / size[:, :, None]
+        if weak.any():
+            u, s, vt = np.linalg.svd(unit[weak], full_matrices=False)
+            seen = s > _DEPENDENT * np.maximum(s[:, :1], 1e-300)
+            most = u.shape[2]
+            basis[at[weak].ravel()[:, None], np.arange(most)] = (u * seen[:, None, :]).reshape(-1, most)
+            inverse = np.swapaxes(vt, 1, 2) * np.where(seen, 1 / np.where(seen, s, 1.0), 0.0)[:, None, :]
+            inverses[chosen[weak], :, :most] = inverse / size[weak, :, None]
     return basis, inverses
 
 

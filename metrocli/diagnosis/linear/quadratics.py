@@ -28,15 +28,15 @@ def roots(gram: Array, scale: Array) -> Array:
         good = value > VISIBLE**2
         return np.where(good, 1 / np.sqrt(np.where(good, value, 1.0)), 0.0) / s[:, :, None]
     scaled = gram / (s[:, :, None] * s[:, None, :])
-    triangular, rest = _triangular(scaled)
+    root, rest = triangular(scaled)
     if rest.any():
         values, vectors = np.linalg.eigh(scaled[rest])
         good = values > np.maximum(VISIBLE**2, FLAT * values[:, -1:])
-        triangular[rest] = vectors * np.where(good, 1 / np.sqrt(np.where(good, values, 1.0)), 0.0)[:, None, :]
-    return np.asarray(triangular / s[:, :, None])
+        root[rest] = vectors * np.where(good, 1 / np.sqrt(np.where(good, values, 1.0)), 0.0)[:, None, :]
+    return np.asarray(root / s[:, :, None])
 
 
-def _triangular(gram: Array) -> tuple[Array, Mask]:
+def triangular(gram: Array) -> tuple[Array, Mask]:
     """Return R = L^-T of Gram matrices `L L'` (k, q, q), and which have directions that may not be visible (k,).
 
     It takes half the time of eigenvectors. All directions are visible where `1/tr A^-1`, which no eigenvalue is

@@ -45,7 +45,6 @@ def adjusted_job(problem: CameraProblem, adjusted: AdjustedImages) -> AdjustedJo
         folds(index[camera.TARGET if cmm else "view"]),
         _delivered(problem.rig, model),
         refit(problem.datum),
-        ("px", "pixel"),
         fewest=2,
         single_components=True,
         sharing=len(np.unique(index["view"])),

@@ -59,7 +59,6 @@ def adjusted_job(located: Located) -> AdjustedJob:
         {group.name: parts[_pose(group)] for group in model.readings},
         Delivered("place of the launch unit", lu.UNIT, (0, 1, 2), "um", "length"),
         refit,
-        reading=("urad", "angle"),
         sharing=poses,
         made_together=("pose",),
     )

@@ -30,7 +30,6 @@ def adjusted_job(system: CameraSystem, adjusted: AdjustedImages) -> AdjustedJob:
         folds(index["view"]),
         Delivered("places of the cameras", camera.MOUNT, (0, 1, 2), "um", "length"),
         refit(system.datum),
-        ("px", "pixel"),
         fewest=2,
         single_components=True,
         sharing=len(np.unique(index["view"])),
