@@ -170,7 +170,7 @@ def _keep(job: JobFile, data: dict[str, Any], force: bool, console: Console) -> 
             shown = f", shown by metrocli report {job.output}" if job.output.is_file() else ""
             console.print(f"\ndiagnosis: {path}{shown}")
     except InputError as error:
-        echo(f"warning: the diagnosis was not kept: {error}", err=True)
+        echo(f"warning: the diagnosis was not saved: {error}", err=True)
 
 
 def _loop(job: JobFile, flags: dict[str, Any], force: bool, as_json: bool) -> int:
