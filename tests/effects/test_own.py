@@ -256,6 +256,23 @@ def test_diagnose_names_it_and_the_extended_job_estimates_it(shop: Path, capsys:
     assert any(one.path.endswith("lab.yaml") for one in record.inputs)
 
 
+def test_a_direction_that_no_reading_shows_hides_its_own_plausible_size(
+    shop: Path, metrocli: Callable[..., Any]
+) -> None:
+    """A scale of all lengths is one of all places: 5 um/m of the way from their centre, whatever `a` could be."""
+    job = shop / "job.yaml"
+    parameters = "{a: {unit: um/K, plausible: 10 um/K}, s: {unit: um/m, plausible: 5 um/m}}"
+    own = f"{{name: warm-scale, acts_on: length, adds: a*T + s*distance, parameters: {parameters}}}"
+    job.write_text(f"{job.read_text()}define: [{own}]\n")
+    ran = metrocli("diagnose", job, "--design", "--json")
+    assert ran.code == 0, ran.err
+    (found,) = (one for one in json.loads(ran.out)["candidates"] if one["name"] == "warm-scale")
+    places = np.loadtxt(shop / "points.csv", delimiter=",", skiprows=1, usecols=(1, 2, 3))
+    way = np.linalg.norm(places - places.mean(axis=0), axis=1).max() / 1000
+    # an upper bound over sizes of both parameters: up to twice what one does alone
+    assert found["hides"]["unit"] == "um" and 1 < found["hides"]["value"] / (5 * way) < 2
+
+
 @pytest.mark.slow
 def test_a_scan_is_refined_between_its_values(shop: Path, capsys: pytest.CaptureFixture[str]) -> None:
     wave = """define:
