@@ -45,7 +45,7 @@ def scale_warnings(network: TracerNetwork, solution: Solution) -> Iterator[str]:
         own, all_together = units.sized(scale.uncertainty, "ratio"), units.sized(mean, "ratio")
         yield (
             f"the scale of the network has a standard uncertainty of {all_together}, because the scales of its "
-            f"{len(block.members)} tracers, {own} each, count as independent; if they share a source, such as one "
+            f"{len(block.members)} tracers, {own} each, count as independent. If they share a source, such as one "
             f"weather station, write `scale: {{uncertainty: OWN, common: {own}}}`; if not, `common: 0 ppm`"
         )
 

@@ -84,7 +84,7 @@ def test_a_scale_better_than_its_source_is_warned_of() -> None:
 
     (line,) = warned(job(None, 1e-6))
     assert line.startswith("the scale of the network has a standard uncertainty of 0.5 um/m, ")
-    assert "because the scales of its 4 tracers, 1 um/m each, count as independent; " in line
+    assert "because the scales of its 4 tracers, 1 um/m each, count as independent. " in line
     assert "write `scale: {uncertainty: OWN, common: 1 um/m}`" in line
     assert warned(job(0.0, 1e-6)) == warned(job(1e-6, 1e-7)) == warned(settings()) == []
     assert warned(job(None, 1e-6), distances=bars) == []
