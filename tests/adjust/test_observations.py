@@ -10,7 +10,9 @@ from metrocli.adjust.model.observations import Observations
 def test_readings_without_a_covariance_follow_those_that_have_one() -> None:
     rng = np.random.default_rng(5)
     root = rng.normal(size=(2, 2))
-    correlated = Observations(rng.normal(size=(2, 3)), np.ones((2, 1)), covariance=np.stack([root @ root.T] * 3, axis=2))
+    correlated = Observations(
+        rng.normal(size=(2, 3)), np.ones((2, 1)), covariance=np.stack([root @ root.T] * 3, axis=2)
+    )
     plain = Observations(rng.normal(size=(2, 4)), rng.uniform(0.1, 2.0, (2, 4)))
     values = rng.normal(size=(2, 7))
     for first, second in ((correlated, plain), (plain, correlated)):

@@ -79,7 +79,9 @@ def put(text: str, match: re.Match[str], other: str) -> str:
 
 
 @pytest.mark.parametrize("text", FORMATS.values(), ids=FORMATS)
-@pytest.mark.parametrize("other", [pytest.param(one, marks=() if one == "nan" else pytest.mark.slow) for one in NO_NUMBERS])
+@pytest.mark.parametrize(
+    "other", [pytest.param(one, marks=() if one == "nan" else pytest.mark.slow) for one in NO_NUMBERS]
+)
 def test_what_is_no_number_is_never_a_camera(text: str, other: str) -> None:
     whole, wrong = read(text), list(numbers(text))
     assert isinstance(whole, list) and len(wrong) >= 3

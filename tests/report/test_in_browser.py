@@ -25,7 +25,9 @@ def shortened(gear: Path) -> None:
     (gear / "metrocli.yaml").write_text("project: Large gear\njobs: [jobs/tip3.yaml]\n")
     for name in ("lengths", "points", "probing"):
         rows = (file := gear / f"data/{name}.csv").read_text().splitlines(keepends=True)
-        file.write_text("".join(row for row in rows if not (place := re.search(r"G(\d+),", row)) or int(place[1]) % 8 == 1))
+        file.write_text(
+            "".join(row for row in rows if not (place := re.search(r"G(\d+),", row)) or int(place[1]) % 8 == 1)
+        )
 
 
 @pytest.fixture(scope="module")

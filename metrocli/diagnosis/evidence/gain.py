@@ -45,7 +45,7 @@ class Gain:
         return 1 - self.ratio**2
 
 
-_PREDICTED = 100.0
+PREDICTED = 100.0
 """Largest variance of a prediction, in that of the noise: a reading that the others hardly determine shows no gain"""
 
 
@@ -81,7 +81,7 @@ def gain_of(pairs: Sequence[tuple[Held, Held]]) -> Gain:
     # a single fold shows no scatter: its gain is never called certain
     spread = float(differences.std(ddof=1)) if len(differences) > 1 else float("inf")
     # of both sides, so that the two errors are those of the same readings
-    kept = [np.maximum(before.variances, after.variances) <= _PREDICTED for before, after in pairs]
+    kept = [np.maximum(before.variances, after.variances) <= PREDICTED for before, after in pairs]
     found = []
     for side in zip(*pairs, strict=True):
         errors, scale, shares = (

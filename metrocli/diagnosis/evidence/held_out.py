@@ -166,8 +166,7 @@ class Others:
             errors = self.without.shared[:, -1] - self.without.shared[:, self.columns] @ self.fit.sizes
             shares, variances = 1 - (basis.local[rows] ** 2).sum(axis=1), np.ones(len(rows))
         else:
-            absorbed, errors = self.without.left(self.fit, self.columns)
-            shares, variances = np.ones(len(rows)), 1 + absorbed
+            errors, shares, variances = self.without.predicted(self.fit, self.columns)
         scale, kept = np.where(m.system.alike, m.system.scale, np.nan)[rows], ~spared[rows]
         score = _log_marginal(self.whole, ranks) - others
         return Held(score, errors[kept], scale[kept], shares[kept], variances[kept])

@@ -168,7 +168,8 @@ def _rivals(less: State, part: Fixed, values: Array, variance: float) -> tuple[R
     m = less.measurement
     own, squares, dof = m.alternative(part.key), less.fit.squares, less.freedoms
     t, q = (found[part.number] for found in less.of_family(part.family))
-    mine = float(gain_of_columns(t, q, squares, dof)) - np.log(m.prices.tests[part.family])
+    # evidence less prices, as in the score
+    mine = float(gain_of_columns(t, q, squares, dof)) - m.prices.of_columns(part.family, max(int(q), 1))
     whole = m.families[part.family].columns.whole([part.number], m.system.rows)[:, 0] @ values
     visible = less.seen(whole)
     shown = max(float(whole @ visible), 1e-300)
@@ -183,7 +184,7 @@ def _rivals(less: State, part: Fixed, values: Array, variance: float) -> tuple[R
         gain = gain_of_columns(explained, rank, squares, dof)
         along = family.columns.products(visible[:, None])[:, :, 0]
         cosine2 = np.clip(quadratic(gram, along, family.raw)[0] / shown, 0.0, 1.0)
-        odds = gain - np.log(m.prices.tests[number]) - mine
+        odds = gain - m.prices.of_ranks(number, rank) - mine
         for at in np.flatnonzero((gain > _SHOWS) & explains_as_well(odds, cosine2, t / variance)).tolist():
             other = family.alternatives[at]
             if other.form == own.form or (other.spot != own.spot and other.spot in taken):

@@ -18,6 +18,7 @@ import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index
+from metrocli.diagnosis.evidence.gain import PREDICTED
 from metrocli.diagnosis.evidence.likelihood import Fit, Products
 from metrocli.diagnosis.evidence.products import local_columns, shared_columns
 from metrocli.diagnosis.evidence.state import State
@@ -98,6 +99,31 @@ class Reweighted:
 
         Both are those of a row of weight 1.
         """
+        absorbed, residual, inside = self._beside(fit, columns)
+        return absorbed + np.einsum("pr,pr->r", inside, inside), residual
+
+    def predicted(self, fit: Fit, columns: Index) -> tuple[Array, Array, Array]:
+        """Return the errors with which a fit of other rows predicts these, their shares, and variances.
+
+        Directions of which the others say nothing, such as the pose of an image that is held out, are taken off: each
+        row has a share of what remains.
+        """
+        absorbed, residual, inside = self._beside(fit, columns)
+        variances, shares = 1 + absorbed + np.einsum("pr,pr->r", inside, inside), np.ones(len(residual))
+        if (variances > PREDICTED).any():
+            values, vectors = np.linalg.eigh(inside.T @ inside)
+            known = values < PREDICTED
+            hidden, own = vectors[:, ~known], vectors[:, known] ** 2
+            residual = residual - hidden @ (hidden.T @ residual)
+            # sums of what is known, and no differences: those of the others are large
+            shares, variances = own.sum(axis=1), 1 + absorbed + own @ values[known]
+        return residual, shares, variances
+
+    def _beside(self, fit: Fit, columns: Index | slice) -> tuple[Array, Array, Array]:
+        """Return the share of each row that single members absorb, its residual, and coordinates in the shared columns.
+
+        The coordinates (p, rows) are those of a fit of all or some columns.
+        """
         x, residual, absorbed = self.shared[:, columns], self.shared[:, -1], self.absorbed
         if self.local.shape[1]:
             scaled, x = self.local * np.exp(fit.logs[fit.products.of_local] / 2), np.array(x)
@@ -108,8 +134,7 @@ class Reweighted:
                 x[rows] -= errors @ shown[:, :-1]
                 residual[rows] -= errors @ shown[:, -1]
                 absorbed[rows] += (errors**2).sum(axis=1)
-        inside = solved(fit.lower, x.T)
-        return absorbed + np.einsum("pr,pr->r", inside, inside), residual - x @ fit.sizes
+        return absorbed, residual - x @ fit.sizes, solved(fit.lower, x.T)
 
 
 def _parts(order: Index, begins: Index) -> Iterator[Index]:

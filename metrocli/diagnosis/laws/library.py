@@ -18,7 +18,7 @@ from metrocli.adjust.model.groups import listed_values
 from metrocli.adjust.model.observations import Index
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.evidence.prices import Prices, counted
-from metrocli.diagnosis.laws.terms import TermForm, columns_of, forms_of, powers_are_tried
+from metrocli.diagnosis.laws.terms import TermForm, columns_of, forms_of, kept, powers_are_tried, turns_of
 from metrocli.diagnosis.linear.candidates import Candidate, CandidateGroup
 from metrocli.diagnosis.linear.column_parts import StackedColumns
 from metrocli.diagnosis.linear.columns import CandidateColumns
@@ -32,6 +32,8 @@ _ELAPSED = ("t",)
 _MOST_PLACES = 40
 MOST_NUMBERS = 8_000_000
 """Largest number of elements of all columns"""
+_PERIODS = (59, 29, 15, 7)
+"""Numbers of periods that are tried, the largest for which there is memory: up to 30, 15, 8 or 4 waves over a range"""
 _SAME = 1e-9
 """Two components of quantities act alike if their squared correlation is nearer to 1 than this"""
 _SHOWS = 1e-3
@@ -94,10 +96,23 @@ class _Carrier:
         rows = np.flatnonzero(change)
         return cls(spot, rows, change[rows], {name: column[rows] for name, column in values.items()})
 
+    @cached_property
+    def _varying(self) -> dict[str, Array]:
+        return {name: column for name, column in self.values.items() if np.ptp(column) > 0}
+
     def forms(self, periods: int) -> list[TermForm]:
         """Return the forms of the variables that vary here."""
-        values = {name: column for name, column in self.values.items() if np.ptp(column) > 0}
-        return list(forms_of(values, {name: values[name] for name in _ELAPSED if name in values}, periods))
+        elapsed = {name: self._varying[name] for name in _ELAPSED if name in self._varying}
+        return list(forms_of(self._varying, elapsed, periods))
+
+    @cached_property
+    def _without_waves(self) -> int:
+        return sum(len(form.factors) for form in self.forms(0))
+
+    def numbers(self, periods: int) -> int:
+        """Return how many numbers the columns of its forms have: counted, since making forms takes longer."""
+        smooth = (column for name, column in self._varying.items() if powers_are_tried(name))
+        return len(self.rows) * (self._without_waves + 2 * sum(len(turns_of(column, periods)) for column in smooth))
 
     def columns(self, forms: Sequence[TermForm]) -> Array:
         """Return the whitened columns of forms of one kind, (r, forms, factors)."""
@@ -145,15 +160,12 @@ class Library:
         return counted(self.system, self.families, 1, np.random.default_rng(_SEED))
 
     def _forms(self) -> list[tuple[_Carrier, list[TermForm]]]:
-        # at most 30, 15, 8 or 4 waves over the range of a variable
-        for periods in (59, 29, 15, 7):
-            carried = [(carrier, carrier.forms(periods)) for carrier in self._carriers]
+        for periods in _PERIODS:
             # a term at one place has the rows of its readings only
-            numbers = sum(len(form.factors) * len(carrier.rows) for carrier, forms in carried for form in forms)
-            if numbers <= MOST_NUMBERS:
-                return carried
+            if sum(carrier.numbers(periods) for carrier in self._carriers) <= MOST_NUMBERS:
+                return [(carrier, carrier.forms(periods)) for carrier in self._carriers]
         # even so too many: then no law of a single place is sought
-        return [(carrier, forms) for carrier, forms in carried if not carrier.spot.where]
+        return [(carrier, carrier.forms(_PERIODS[-1])) for carrier in self._carriers if not carrier.spot.where]
 
     def _family(self, kind: str, factors: int, items: Sequence[tuple[_Carrier, list[TermForm]]]) -> CandidateGroup:
         parts, terms = list[StackedColumns](), list[Term]()
@@ -269,27 +281,3 @@ def _at(job: AdjustedJob, system: Linearised, acting: Acting) -> tuple[Array, di
     seen = {name: one[acting_on] for name, one in values.items() if name not in partly}
     chosen = kept(seen, {name for name, one in known.items() if one.of_data})
     return whole, {name: values[name] for name in chosen}
-
-
-_FEWEST = 4
-"""Fewest different values of a column"""
-_ALIKE = 0.999
-"""Correlation above which a column counts as the same variable: as the time, or as the number of the row"""
-
-
-def kept(values: Mapping[str, Array], of_data: Collection[str]) -> dict[str, Array]:
-    """Return the variables (rows,) without columns of the data that have few values or follow another variable.
-
-    The time counts also by its order, so that a column that numbers the readings follows it.
-    """
-    columns = {name: column for name, column in values.items() if name not in of_data}
-    order = {"order": np.unique(columns["t"], return_inverse=True)[1].astype(float)} if "t" in columns else {}
-    for name in (column for column in values if column in of_data and powers_are_tried(column)):
-        if len(np.unique(values[name])) >= _FEWEST and not _follows(values[name], (columns | order).values()):
-            columns[name] = values[name]
-    return columns
-
-
-def _follows(values: Array, others: Collection[Array]) -> bool:
-    varying = [other for other in others if np.ptp(other) > 0]
-    return any(abs(float(np.corrcoef(values, column)[0, 1])) > _ALIKE for column in varying)

@@ -5,7 +5,7 @@ Method: docs/algorithms/laws.md.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from itertools import combinations
 
 import numpy as np
@@ -20,6 +20,8 @@ _ANGLES = ("azimuth", "angle", "base")
 _SIDE = "from_"
 """Begin of the variables that are directions of approach"""
 _HARMONICS, _POWERS = 4, 3
+_FEWEST_STEPS = 6
+"""Fewest different values of a variable of which waves are tried"""
 
 
 @dataclass(frozen=True)
@@ -96,15 +98,17 @@ def forms_of(values: Mapping[str, Array], elapsed: Mapping[str, Array], periods:
         yield from _steps(name, times)
 
 
-def _waves(name: str, values: Array, periods: int) -> Iterator[TermForm]:
-    """Yield sine and cosine, their frequencies half a period over the range apart, so that none lies between them."""
-    span, steps = float(np.ptp(values)), len(np.unique(values))
-    if steps < 6:
-        return
+def turns_of(values: Array, periods: int) -> Array:
+    """Return how many waves over the range of a variable (rows,) are tried: half a wave apart, which misses none."""
+    steps = len(np.unique(values))
     # fewer than half a wave for each step of the variable: beyond that two waves have the same values
-    for turns in np.arange(1.0, min((steps - 1) / 2, periods / 2 + 0.5) + 0.1, 0.5):
-        texts = (f"sin(2*pi*{name}/{{s}})", f"cos(2*pi*{name}/{{s}})")
-        yield TermForm(WAVES, texts, (name,), span / float(turns))
+    return np.arange(1.0, min((steps - 1) / 2, periods / 2 + 0.5) + 0.1, 0.5) if steps >= _FEWEST_STEPS else np.zeros(0)
+
+
+def _waves(name: str, values: Array, periods: int) -> Iterator[TermForm]:
+    """Yield sine and cosine of a variable, with each period."""
+    texts, span = (f"sin(2*pi*{name}/{{s}})", f"cos(2*pi*{name}/{{s}})"), float(np.ptp(values))
+    yield from (TermForm(WAVES, texts, (name,), span / turns) for turns in turns_of(values, periods).tolist())
 
 
 def _saturations(name: str, values: Array) -> Iterator[TermForm]:
@@ -122,3 +126,27 @@ def _steps(name: str, values: Array) -> Iterator[TermForm]:
     kept = middles[np.unique(np.linspace(0, len(middles) - 1, 80).astype(int))] if len(middles) else middles
     for at in kept.tolist():
         yield TermForm(STEPS, (f"(1 + ({name} - {{s}})/abs({name} - {{s}}))/2",), (name,), at)
+
+
+_FEWEST = 4
+"""Fewest different values of a column"""
+_ALIKE = 0.999
+"""Correlation above which a column counts as the same variable: as the time, or as the number of the row"""
+
+
+def kept(values: Mapping[str, Array], of_data: Collection[str]) -> dict[str, Array]:
+    """Return the variables (rows,) without columns of the data that have few values or follow another variable.
+
+    The time counts also by its order, so that a column that numbers the readings follows it.
+    """
+    columns = {name: column for name, column in values.items() if name not in of_data}
+    order = {"order": np.unique(columns["t"], return_inverse=True)[1].astype(float)} if "t" in columns else {}
+    for name in (column for column in values if column in of_data and powers_are_tried(column)):
+        if len(np.unique(values[name])) >= _FEWEST and not _follows(values[name], (columns | order).values()):
+            columns[name] = values[name]
+    return columns
+
+
+def _follows(values: Array, others: Collection[Array]) -> bool:
+    varying = [other for other in others if np.ptp(other) > 0]
+    return any(abs(float(np.corrcoef(values, column)[0, 1])) > _ALIKE for column in varying)

@@ -1,15 +1,17 @@
-"""An effect near its price predicts with the probability that the other readings give it."""
+"""What held-out readings gain: mixtures of predictions, and what the others do not determine."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
+import scipy.linalg
 
 from metrocli.diagnosis.evidence.folds import gains
 from metrocli.diagnosis.evidence.gain import Held
+from metrocli.diagnosis.evidence.held_out import Fold, Others
 from metrocli.diagnosis.evidence.identified import all_identified
 from metrocli.diagnosis.evidence.state import State
-from tests.diagnosis.evidence.test_dense import NETWORK, measurement, number_of_effect, with_residual
+from tests.diagnosis.evidence.test_dense import NETWORK, measurement, number_of_effect, unknowns, with_residual
 
 
 def test_a_mixture_has_the_mean_density_and_the_variance_of_both() -> None:
@@ -43,3 +45,20 @@ def test_what_the_evidence_names_just_so_is_confirmed() -> None:
         if 0 < net < 2:
             sums.append(net + gains(state, all_identified(state))[0].log_score)
     assert np.mean(np.array(sums) > 0) > 0.8
+
+
+def test_what_the_others_do_not_determine_is_taken_off_a_prediction() -> None:
+    """Without a tracer nothing says where it stands: its lengths are predicted but for its place and its dead path."""
+    m = measurement(NETWORK)
+    m = with_residual(m, np.random.default_rng(6).normal(size=m.system.rows))
+    rows = np.flatnonzero(m.system.rows_at({"tracer": "T2"}))
+    held = Others.of(Fold(m, rows), State.of(m)).predicted()
+    others = np.setdiff1d(np.arange(m.system.rows), rows)
+    columns, r = unknowns(m), m.system.residual
+    error = r[rows] - columns[rows] @ (np.linalg.pinv(columns[others], 1e-10) @ r[others])
+    unseen = columns[rows] @ scipy.linalg.null_space(columns[others], 1e-10)
+    basis = np.linalg.svd(unseen, full_matrices=False)[0]
+    assert basis.shape[1] == 4
+    np.testing.assert_allclose(held.errors, error - basis @ (basis.T @ error), atol=1e-6)
+    np.testing.assert_allclose(held.shares, 1 - (basis**2).sum(axis=1), atol=1e-9)
+    assert held.shares.sum() == pytest.approx(len(rows) - 4) and held.variances.max() < 100

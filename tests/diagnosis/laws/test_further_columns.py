@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from metrocli.diagnosis.laws.library import kept
+from metrocli.diagnosis.laws.terms import kept
 
 Metrocli = Callable[..., Any]
 MACHINE = """metrocli: 1
