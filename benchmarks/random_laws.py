@@ -36,7 +36,7 @@ from metrocli.diagnosis.laws.definition import as_define, as_wanted, written
 from metrocli.diagnosis.laws.library import Library
 from metrocli.diagnosis.laws.search import Law
 from metrocli.diagnosis.linear.linearised import linearised
-from metrocli.effects import wanted
+from metrocli.effects import requested
 from metrocli.effects.own import define
 from metrocli.errors import MetrocliError
 from metrocli.nodes import Node
@@ -113,7 +113,7 @@ def _after(one: Planted, diagnosis: Diagnosis) -> Verdict | str:
     named = [*map(scatter_as_job, diagnosis.scatters), *(as_job(found.effect) for found in diagnosis.findings)]
     try:
         own = define.read(_nodes([as_define(law, "law-1")]), task.places, [], [])
-        effects = wanted.read([*task.effects, *own], _nodes([*named, as_wanted(law, "law-1")]), [])
+        effects = requested.read([*task.effects, *own], _nodes([*named, as_wanted(law, "law-1")]), [])
         return diagnose(one.job(effects, own)).verdict
     except MetrocliError as error:
         return f"{error}".partition("\n")[0]

@@ -14,7 +14,7 @@ from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.effects.acting import measured
 from metrocli.effects.effect import Effect
 from metrocli.effects.own.columns import with_variables
-from metrocli.effects.wanted import Wanted
+from metrocli.effects.requested import RequestedEffect
 from metrocli.expressions.dimensions import compound
 from metrocli.tasks import KINDS
 
@@ -29,7 +29,7 @@ _POINTS = 60
 class Measured(Protocol):
     """Readings that can be adjusted as a user's job."""
 
-    def adjusted(self, effects: Sequence[Wanted] = ()) -> AdjustedJob:
+    def adjusted(self, effects: Sequence[RequestedEffect] = ()) -> AdjustedJob:
         """Return the job with some effects in its model."""
 
 
@@ -48,7 +48,7 @@ class Planted:
     column: int | None = None
     """Seed of a further column of random numbers; None for none"""
 
-    def job(self, effects: Sequence[Wanted] = (), own: Sequence[Effect] = ()) -> AdjustedJob:
+    def job(self, effects: Sequence[RequestedEffect] = (), own: Sequence[Effect] = ()) -> AdjustedJob:
         """Return it as `diagnose` takes it, with some effects in its model; `own` are defined beside the catalogue."""
         found = self.measured.adjusted(effects)
         found = replace(found, places=KINDS[self.kind].task().places, effects=(*found.effects, *own))

@@ -14,7 +14,7 @@ from benchmarks.hidden.case import Case, Hidden
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.detectability import needed
 from metrocli.diagnosis.evidence.measured_job import measurement_of
-from metrocli.effects.wanted import Wanted
+from metrocli.effects.requested import RequestedEffect
 from metrocli.table import Table
 from metrocli.tasks.selfcal_grid import task as selfcal_grid
 from metrocli.tasks.selfcal_grid.settings import GridSettings, Inputs, Rotate, Settings, ViewSettings
@@ -133,7 +133,7 @@ class Measurement:
     noise: float = 1.0
     """By which the true noise is divided in the job's declaration"""
 
-    def adjusted(self, effects: Sequence[Wanted] = ()) -> AdjustedJob:
+    def adjusted(self, effects: Sequence[RequestedEffect] = ()) -> AdjustedJob:
         """Return it as the job that a user would give, with the effects that the job has in its model."""
         v = self.views
         balls = v.balls[v.ball]

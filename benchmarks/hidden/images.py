@@ -14,7 +14,7 @@ from benchmarks.hidden.case import Case, Hidden
 from benchmarks.hidden.scenes import Scene, Sight, board_scene, cmm_scene, part_scene, sight
 from benchmarks.hidden.stated import stated
 from metrocli.diagnosis.adjusted_job import AdjustedJob
-from metrocli.effects.wanted import Wanted
+from metrocli.effects.requested import RequestedEffect
 from metrocli.table import Table
 from metrocli.tasks.align_part import settings as part_job
 from metrocli.tasks.align_part import task as align_part
@@ -37,7 +37,7 @@ class Images:
     declared: float = 1.0
     """Declared noise over the true one"""
 
-    def adjusted(self, effects: Sequence[Wanted] = ()) -> AdjustedJob:
+    def adjusted(self, effects: Sequence[RequestedEffect] = ()) -> AdjustedJob:
         """Return it as the job that a user would give, with the effects that the job has in its model."""
         scene = self.scene
         names, images = _names("T", len(scene.targets)), _names("I", len(scene.time))
@@ -60,7 +60,9 @@ class Images:
             calibrate_camera.TASK.job(settings, observations=Table(seen, units), targets=targets, effects=effects)
         )
 
-    def _alignment(self, observations: Table, targets: Table, noise: float, effects: Sequence[Wanted]) -> AdjustedJob:
+    def _alignment(
+        self, observations: Table, targets: Table, noise: float, effects: Sequence[RequestedEffect]
+    ) -> AdjustedJob:
         scene = self.scene
         held, mounting = scene.given["spindle"].T, scene.given["mounting"]
         columns = {"image": _names("I", len(scene.time)), **dict(zip("xyzabc", held, strict=True)), "t": scene.time}

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from benchmarks.hidden.case import Case, Hidden
 from benchmarks.hidden.stated import stated
 from metrocli.diagnosis.adjusted_job import AdjustedJob
-from metrocli.effects.wanted import Wanted
+from metrocli.effects.requested import RequestedEffect
 from metrocli.table import Table
 from metrocli.tasks.multilaterate import task as multilaterate
 from metrocli.tasks.multilaterate.settings import Inputs, Settings
@@ -62,7 +62,7 @@ class Measurement:
         """True standard deviation of readings, (n,)."""
         return np.sqrt(NOISE[0] ** 2 + (NOISE[1] * self.distance) ** 2)
 
-    def adjusted(self, effects: Sequence[Wanted] = ()) -> AdjustedJob:
+    def adjusted(self, effects: Sequence[RequestedEffect] = ()) -> AdjustedJob:
         """Return it as the job that a user would give, with the effects that the job has in its model."""
         names, stations = _names("P", len(self.points)), _names("T", len(self.tracers))
         lengths = {"point": names[self.point], "tracer": stations[self.tracer], "length": self.length}

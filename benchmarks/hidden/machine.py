@@ -14,7 +14,7 @@ import numpy.typing as npt
 from benchmarks.hidden.case import Case, Hidden
 from benchmarks.hidden.stated import stated
 from metrocli.diagnosis.adjusted_job import AdjustedJob
-from metrocli.effects.wanted import Wanted
+from metrocli.effects.requested import RequestedEffect
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine import task as calibrate_machine
 from metrocli.tasks.calibrate_machine.files import Inputs
@@ -112,7 +112,7 @@ class Measurement:
         white = self.whitened(change)
         return np.asarray(white - self.absorbed @ (self.absorbed.T @ white))
 
-    def adjusted(self, effects: Sequence[Wanted] = ()) -> AdjustedJob:
+    def adjusted(self, effects: Sequence[RequestedEffect] = ()) -> AdjustedJob:
         """Return it as the job that a user would give, with the effects that the job has in its model."""
         columns = {"point": names(self), "tool": np.array(list(TOOLS))[self.tool], "t": self.t}
         columns |= dict(zip("xyz", self.at.T, strict=True)) | dict(zip(("mx", "my", "mz"), self.read.T, strict=True))

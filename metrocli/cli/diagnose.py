@@ -58,7 +58,7 @@ CLEAN = "clean"
 @options.QUIET
 @options.VERBOSE
 def command(
-    job: Path, design: bool, out: Path | None, following: int | None, force: bool, as_json: bool, **wanted: Any
+    job: Path, design: bool, out: Path | None, following: int | None, force: bool, as_json: bool, **flags: Any
 ) -> int:
     """Diagnose, write the extended job where effects were named, and print the report.
 
@@ -66,22 +66,22 @@ def command(
     """
     from metrocli.project.job import JobOptions, load
 
-    if design and wanted["scheduler"]:
+    if design and flags["scheduler"]:
         raise UsageError("--design has no parts that a cluster could compute: leave --scheduler out")
-    if following is not None and (design or wanted["until_clean"]):
+    if following is not None and (design or flags["until_clean"]):
         raise UsageError("--next needs a diagnosis of its own: leave --design and --until-clean out")
-    if wanted["quick"] and (design or wanted["until_clean"] or following is not None or wanted["full"]):
+    if flags["quick"] and (design or flags["until_clean"] or following is not None or flags["full"]):
         raise UsageError("--quick is the first answer alone: leave --design, --until-clean, --next and --full out")
-    console = Console(wanted["quiet"] or as_json, wanted["verbose"])
-    result = wanted["output"]
+    console = Console(flags["quiet"] or as_json, flags["verbose"])
+    result = flags["output"]
     if result is not None and result.suffix in (".yaml", ".yml"):
         raise UsageError(f"--output {result}: it names the result of the job, FILE.h5; --out names the extended job")
-    asked = JobOptions(wanted["overrides"], options.result_file(result), accept_doubtful=wanted["accept_doubtful"])
+    asked = JobOptions(flags["overrides"], options.result_file(result), accept_doubtful=flags["accept_doubtful"])
     if design:
         return _design(job, asked, as_json, console)
-    if wanted["until_clean"]:
-        return _loop(load(job, asked), wanted, force, as_json)
-    return _once(load(job, asked), wanted, out, following, force, as_json)
+    if flags["until_clean"]:
+        return _loop(load(job, asked), flags, force, as_json)
+    return _once(load(job, asked), flags, out, following, force, as_json)
 
 
 def _design(path: Path, asked: JobOptions, as_json: bool, console: Console) -> int:
@@ -102,7 +102,7 @@ def _design(path: Path, asked: JobOptions, as_json: bool, console: Console) -> i
 
 
 def _once(
-    loaded: JobFile, wanted: dict[str, Any], out: Path | None, following: int | None, force: bool, as_json: bool
+    loaded: JobFile, flags: dict[str, Any], out: Path | None, following: int | None, force: bool, as_json: bool
 ) -> int:
     """Print the diagnosis of a job, and write the extended job."""
     from metrocli.cli import summary
@@ -113,21 +113,21 @@ def _once(
     from metrocli.project.own_effects import alike_for
     from metrocli.uncertainty.workers.dask_cluster import ordered_on
 
-    console, limit = Console(wanted["quiet"] or as_json, wanted["verbose"]), _seconds(wanted["limit"])
-    with ordered_on(wanted["scheduler"], alike_for([(loaded.kind, loaded.own.packages)])) as ordered:
-        first = _first_answer if console.is_watched and not (console.quiet or wanted["quick"]) else None
-        diagnosis = diagnosed.carry_out(loaded, console, limit, first_interrupt, ordered, wanted["quick"], first)
+    console, limit = Console(flags["quiet"] or as_json, flags["verbose"]), _seconds(flags["limit"])
+    with ordered_on(flags["scheduler"], alike_for([(loaded.kind, loaded.own.packages)])) as ordered:
+        first = _first_answer if console.is_watched and not (console.quiet or flags["quick"]) else None
+        diagnosis = diagnosed.carry_out(loaded, console, limit, first_interrupt, ordered, flags["quick"], first)
     extended = _extended(loaded, diagnosis, out, force)
     proposed = None if following is None else next_readings(diagnosis, following)
     data = _data(loaded, diagnosis, None if extended is None else extended.path)
     if as_json:
         echo(summary.as_json(data | (as_data(proposed) if proposed else {})))
-    console.print(findings.of_diagnosis(diagnosis, extended, wanted["full"]))
+    console.print(findings.of_diagnosis(diagnosis, extended, flags["full"]))
     if proposed is not None:
         console.print("\n".join(["", *next_lines(proposed)]))
     if not as_json:
         _keep(loaded, data, force, console)
-    return 0 if _is_met(wanted["require"], diagnosis) else NOT_MET
+    return 0 if _is_met(flags["require"], diagnosis) else NOT_MET
 
 
 def _first_answer(diagnosis: Diagnosis) -> None:
@@ -170,10 +170,10 @@ def _keep(job: JobFile, data: dict[str, Any], force: bool, console: Console) -> 
             shown = f", shown by metrocli report {job.output}" if job.output.is_file() else ""
             console.print(f"\ndiagnosis: {path}{shown}")
     except InputError as error:
-        echo(f"warning: the diagnosis was not kept: {error}", err=True)
+        echo(f"warning: the diagnosis was not saved: {error}", err=True)
 
 
-def _loop(job: JobFile, wanted: dict[str, Any], force: bool, as_json: bool) -> int:
+def _loop(job: JobFile, flags: dict[str, Any], force: bool, as_json: bool) -> int:
     """Print the steps of the loop until a job is clean."""
     from metrocli.cli import summary
     from metrocli.cli.diagnosis_report.loop import loop_data, of_loop
@@ -183,11 +183,11 @@ def _loop(job: JobFile, wanted: dict[str, Any], force: bool, as_json: bool) -> i
     from metrocli.project.until_clean import until_clean
     from metrocli.uncertainty.workers.dask_cluster import ordered_on
 
-    console = Console(wanted["quiet"] or as_json, wanted["verbose"])
-    limit = _seconds(wanted["limit"])
-    with ordered_on(wanted["scheduler"], alike_for([(job.kind, job.own.packages)])) as ordered:
+    console = Console(flags["quiet"] or as_json, flags["verbose"])
+    limit = _seconds(flags["limit"])
+    with ordered_on(flags["scheduler"], alike_for([(job.kind, job.own.packages)])) as ordered:
         once = partial(carry_out, progress=console, limit=limit, attended=first_interrupt, ordered=ordered)
-        loop = until_clean(job, once, wanted["most"], console, force)
+        loop = until_clean(job, once, flags["most"], console, force)
     if as_json:
         echo(summary.as_json(loop_data(loop)))
     console.print(of_loop(loop))
@@ -197,7 +197,7 @@ def _loop(job: JobFile, wanted: dict[str, Any], force: bool, as_json: bool) -> i
         if steps:
             last = load(steps[-1], JobOptions(accept_doubtful=job.accept_doubtful))
             _keep(last, _data(last, loop.last, None), force, console)
-    return 0 if _is_met(wanted["require"], loop.last) else NOT_MET
+    return 0 if _is_met(flags["require"], loop.last) else NOT_MET
 
 
 def _is_met(verdict: str | None, diagnosis: Diagnosis) -> bool:

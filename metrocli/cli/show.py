@@ -9,7 +9,7 @@ import click
 
 from metrocli.cli import options
 from metrocli.cli.console import echo
-from metrocli.cli.look.held import print_reasons
+from metrocli.cli.look.opened import print_reasons
 from metrocli.cli.shell.choices import tables
 from metrocli.errors import UsageError
 from metrocli.tasks import KINDS

@@ -28,7 +28,7 @@ from metrocli.effects.covariates import (
 from metrocli.effects.effect import Effect, Parameter
 from metrocli.effects.extension import extended, with_conditions, with_effect_everywhere
 from metrocli.effects.model import Model
-from metrocli.effects.wanted import Wanted
+from metrocli.effects.requested import RequestedEffect
 from metrocli.errors import Fault, InputError
 from metrocli.frozen import dataclass
 from metrocli.nodes import Node
@@ -58,15 +58,18 @@ _MOST = 1000.0
 _ERROR = Effect(NAME, "errors of the readings that vary smoothly with a covariate", (Parameter("c1"),), throughout=True)
 
 
-def wanted(stated: Sequence[StatedCorrelation], nodes: Sequence[Node], covariates: Covariates) -> tuple[Wanted, ...]:
-    """Return the entries of `correlated:` among the effects that a job wants."""
+def requests_of(
+    stated: Sequence[StatedCorrelation], nodes: Sequence[Node], covariates: Covariates
+) -> tuple[RequestedEffect, ...]:
+    """Return the entries of `correlated:` among the effects that a job requests."""
     return tuple(
-        Wanted((_ERROR,), {}, vars(one), node, 1.0, (one, covariates)) for one, node in zip(stated, nodes, strict=True)
+        RequestedEffect((_ERROR,), {}, vars(error), node, 1.0, (error, covariates))
+        for error, node in zip(stated, nodes, strict=True)
     )
 
 
-def with_all(model: Model, requests: Iterable[Wanted]) -> Model:
-    """Return the model with the effects and the correlated errors that a job wants.
+def with_all(model: Model, requests: Iterable[RequestedEffect]) -> Model:
+    """Return the model with the effects and the correlated errors that a job requests.
 
     Raises InputError that lists every one that the readings cannot have, with the reason.
     """

@@ -17,7 +17,7 @@ from metrocli.arrays import Array, Index
 from metrocli.effects.acting import NOMINAL
 from metrocli.effects.effect import ELAPSED, WARMING, Effect, needed_in_words
 from metrocli.effects.model import Added, Model
-from metrocli.effects.wanted import Wanted
+from metrocli.effects.requested import RequestedEffect
 from metrocli.errors import Fault, InputError
 from metrocli.words import suggestion
 
@@ -28,16 +28,16 @@ _REACH = 1000.0
 """An effect whose uncertainty exceeds its plausible size by this factor is undetermined"""
 
 
-def extended(model: Model, wanted: Iterable[Wanted]) -> Model:
+def extended(model: Model, requests: Iterable[RequestedEffect]) -> Model:
     """Return the model with the effects that a job names.
 
     Raises InputError that lists every effect that cannot be added, with the reason.
     """
-    wanted = tuple(request for request in wanted if request.correlation is None)
-    if not wanted:
+    requests = tuple(request for request in requests if request.correlation is None)
+    if not requests:
         return model
     model, faults = with_conditions(model), list[Fault]()
-    for request in wanted:
+    for request in requests:
         own = _misplaced(model, request)
         effect = None if own else _form(model, request)
         if effect is not None and request.std:
@@ -186,24 +186,24 @@ def places_of(model: Model, effect: Effect) -> list[tuple[str, ...]]:
     return [place for place in everywhere if can_act(model, effect, dict(zip(effect.keys, place, strict=True)))]
 
 
-def _form(model: Model, wanted: Wanted) -> Effect | None:
-    if wanted.std:
-        return next((effect for effect in wanted.forms if can_act_everywhere(model, effect)), None)
-    return next((effect for effect in wanted.forms if can_act(model, effect, wanted.where)), None)
+def _form(model: Model, request: RequestedEffect) -> Effect | None:
+    if request.std:
+        return next((effect for effect in request.forms if can_act_everywhere(model, effect)), None)
+    return next((effect for effect in request.forms if can_act(model, effect, request.where)), None)
 
 
-def _misplaced(model: Model, wanted: Wanted) -> list[Fault]:
+def _misplaced(model: Model, request: RequestedEffect) -> list[Fault]:
     """Return a fault for each place that the measurement lacks, or at which the effect cannot act."""
-    named = dict(wanted.where)
-    for parameter in wanted.forms[0].scanned:
-        if parameter.place and parameter.name in wanted.values:
-            named[parameter.place] = str(wanted.values[parameter.name])
+    named = dict(request.where)
+    for parameter in request.forms[0].scanned:
+        if parameter.place and parameter.name in request.values:
+            named[parameter.place] = str(request.values[parameter.name])
     return [
-        (wanted.node.get(key) or wanted.node).fault(
-            f"{wanted.name}: {_no_place(model, key, name)}", suggestion(name, allowed)
+        (request.node.get(key) or request.node).fault(
+            f"{request.name}: {_no_place(model, key, name)}", suggestion(name, allowed)
         )
         for key, name in named.items()
-        if name not in (allowed := dict.fromkeys(n for form in wanted.forms for n in names_for(model, form, key)))
+        if name not in (allowed := dict.fromkeys(n for form in request.forms for n in names_for(model, form, key)))
     ]
 
 

@@ -11,7 +11,7 @@ from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.groups import Group
 from metrocli.effects.correlated import with_all
 from metrocli.effects.model import Added, Model
-from metrocli.effects.wanted import Wanted
+from metrocli.effects.requested import RequestedEffect
 from metrocli.frozen import dataclass
 
 
@@ -49,6 +49,6 @@ class Modelled:
         """Return a copy with other values of the blocks."""
         return self.with_model(self.model.with_blocks(blocks))
 
-    def with_effects(self, wanted: Iterable[Wanted]) -> Self:
+    def with_effects(self, requests: Iterable[RequestedEffect]) -> Self:
         """Return a copy whose model has the effects that a job names; raises InputError as `with_all` does."""
-        return self.with_model(with_all(self.model, wanted))
+        return self.with_model(with_all(self.model, requests))

@@ -85,7 +85,7 @@ def _of_rotary_axes(name: str, files: Callable[..., Exported], result: Result) -
         except InputError as error:
             reasons += [*error.faults] if meant else []
     if not texts:
-        raise InputError(reasons or "the result determines neither where rotary axes lie nor their positioning")
+        raise InputError(reasons or "the result determines no place and no positioning error of a rotary axis")
     lacks = "".join(f"{fault.message}\n" for fault in reasons)
     return texts | ({"not-written.txt": lacks} if lacks else {})
 

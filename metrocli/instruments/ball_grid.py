@@ -21,7 +21,7 @@ from metrocli.arrays import Array, Index
 from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.geometry.rotations import cross_matrix
-from metrocli.instruments.frames import OutOf
+from metrocli.instruments.frames import FromFrame
 
 MACHINE, ARTEFACT, VIEW = "machine_error", "artefact_error", "view"
 """Blocks: machine error G at each site, artefact error A at each ball, mounting deviation d, w of each view"""
@@ -125,7 +125,7 @@ def chain(views: Sequence[View], balls: Index, pitch: float) -> Chain:
         (
             BallOf(np.asarray(balls * pitch, dtype=float)),
             mounted(views, pitch),
-            OutOf(VIEW, Quantity.BALL_ON_TABLE, Quantity.POINT_IN_MACHINE),
+            FromFrame(VIEW, Quantity.BALL_ON_TABLE, Quantity.POINT_IN_MACHINE),
             WithMachineError(),
         )
     )

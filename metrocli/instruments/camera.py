@@ -14,7 +14,7 @@ from metrocli.adjust.model.quantities import Quantity
 from metrocli.adjust.movements import Affine, of_members, of_points
 from metrocli.arrays import Array
 from metrocli.geometry import poses
-from metrocli.instruments.frames import Into, OutOf, PointOf
+from metrocli.instruments.frames import FromFrame, PointOf, ToFrame
 from metrocli.instruments.lenses.lens import UNITS, Lens, LensBackward
 from metrocli.instruments.lenses.lens_of_each import LensOfEach
 
@@ -85,19 +85,19 @@ def to_camera(rig: str, several: bool = False) -> tuple[Link, ...]:
     fixed to each other, it is the pose of the first, and one more link leads to the camera.
     """
     if rig == "board":
-        out = OutOf(VIEW, Quantity.POINT_ON_BOARD, Quantity.POINT_IN_CAMERA)
+        out = FromFrame(VIEW, Quantity.POINT_ON_BOARD, Quantity.POINT_IN_CAMERA)
         return (PointOf(TARGET, Quantity.POINT_ON_BOARD), *of_first(out, several))
     targets = Quantity.POINT_ON_TARGETS
-    into = Into(TAPER if rig == "cmm" else VIEW, targets, Quantity.POINT_IN_CAMERA)
+    into = ToFrame(TAPER if rig == "cmm" else VIEW, targets, Quantity.POINT_IN_CAMERA)
     return (PointOf(TARGET, targets), *of_first(into, several))
 
 
-def of_first(link: Into | OutOf, several: bool) -> tuple[Link, ...]:
+def of_first(link: ToFrame | FromFrame, several: bool) -> tuple[Link, ...]:
     """Return the link to a camera, or to the first of several and from there to each."""
     if not several:
         return (link,)
     rig = Quantity.POINT_IN_RIG
-    return (replace(link, gives=rig), Into(MOUNT, rig, Quantity.POINT_IN_CAMERA))
+    return (replace(link, gives=rig), ToFrame(MOUNT, rig, Quantity.POINT_IN_CAMERA))
 
 
 def chain(rig: str, *conventions: str) -> Chain:

@@ -12,7 +12,7 @@ from metrocli.frozen import dataclass
 
 @dataclass(frozen=True)
 class PointOf(OfBlock):
-    """Start of a chain: the observed point, a row of a block of coordinates plus a fixed offset."""
+    """Start of a chain: the observed point, a row of a block of coordinates plus a fixed offset [mm]."""
 
     gives: Quantity
     offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -27,7 +27,7 @@ class PointOf(OfBlock):
 
 
 @dataclass(frozen=True)
-class OutOf(OfBlock):
+class FromFrame(OfBlock):
     """Link from a frame to the frame in which its pose is given: `X' = R X + d`."""
 
     takes: Quantity
@@ -35,16 +35,16 @@ class OutOf(OfBlock):
 
     def step(self, value: Array, local: LinkContext) -> Step:
         """Return `R X + d` (3, n), with derivatives R by the point, and (I, -[R X]x) by a step of the pose."""
-        members = local.members(self.block)
+        poses = local.members(self.block)
         rotation = local.spread(local.blocks[self.block].rotations, self.block)
         turned = _times(rotation, value)
-        moved = turned + local.spread(members[:, :3], self.block)
+        moved = turned + local.spread(poses[:, :3], self.block)
         by_block = {self.block: _shift_and_turn(turned)} if self.block in local.wanted else {}
         return Step(moved, rotation, by_block)
 
 
 @dataclass(frozen=True)
-class Into(OfBlock):
+class ToFrame(OfBlock):
     """Link to a frame from the frame in which its pose is given: `X = R' (X' - d)`."""
 
     takes: Quantity
@@ -55,12 +55,12 @@ class Into(OfBlock):
 
         They are R' by the point and `-R' (I, -[X' - d]x)` by a step of the pose.
         """
-        members = local.members(self.block)
-        back = local.spread(np.swapaxes(local.blocks[self.block].rotations, 1, 2), self.block)
-        from_origin = value - local.spread(members[:, :3], self.block)
-        moved = _times(back, from_origin)
-        by_block = {self.block: -through(back, _shift_and_turn(from_origin))} if self.block in local.wanted else {}
-        return Step(moved, back, by_block)
+        poses = local.members(self.block)
+        inverse = local.spread(np.swapaxes(local.blocks[self.block].rotations, 1, 2), self.block)
+        from_origin = value - local.spread(poses[:, :3], self.block)
+        moved = _times(inverse, from_origin)
+        by_block = {self.block: -through(inverse, _shift_and_turn(from_origin))} if self.block in local.wanted else {}
+        return Step(moved, inverse, by_block)
 
 
 def _times(matrix: Array, vector: Array) -> Array:
@@ -90,7 +90,7 @@ class DistanceBetween(OfBlock):
         """Return the distance, (1, n), with its derivatives by both points, (2, 1, 3, n)."""
         points = local.members(self.block)
         first, second = local.index(self.block)
-        between = (points[first] - points[second]).T
-        distance = np.sqrt((between**2).sum(axis=0))
-        towards = (between / distance)[None]
-        return Step(distance[None], by_block={self.block: np.stack([towards, -towards])})
+        difference = (points[first] - points[second]).T
+        distance = np.sqrt((difference**2).sum(axis=0))
+        direction = (difference / distance)[None]
+        return Step(distance[None], by_block={self.block: np.stack([direction, -direction])})

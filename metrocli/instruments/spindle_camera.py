@@ -16,7 +16,7 @@ from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.geometry.rotations import cross_matrix, nearest_rotation
 from metrocli.instruments.camera import TAPER, TARGET, lens_link, of_first
-from metrocli.instruments.frames import Into, OutOf, PointOf
+from metrocli.instruments.frames import FromFrame, PointOf, ToFrame
 
 PART, SPINDLE, COUPLING, MACHINE = "part", "spindle", "coupling", "machine"
 """Blocks: pose of the part in the machine, pose of the spindle in the machine at each exposure, clamping angle, and
@@ -89,11 +89,11 @@ def chain(*conventions: str, spread: Array | None = None) -> Chain:
     return Chain(
         (
             PointOf(TARGET, Quantity.POINT_IN_PART),
-            OutOf(PART, Quantity.POINT_IN_PART, Quantity.POINT_IN_MACHINE),
+            FromFrame(PART, Quantity.POINT_IN_PART, Quantity.POINT_IN_MACHINE),
             *([] if spread is None or not spread.shape[2] else [UncertainPoses(spread)]),
-            Into(SPINDLE, Quantity.POINT_IN_MACHINE, Quantity.POINT_IN_SPINDLE),
+            ToFrame(SPINDLE, Quantity.POINT_IN_MACHINE, Quantity.POINT_IN_SPINDLE),
             Coupling(COUPLING),
-            *of_first(Into(TAPER, Quantity.POINT_IN_TAPER, Quantity.POINT_IN_CAMERA), len(conventions) > 1),
+            *of_first(ToFrame(TAPER, Quantity.POINT_IN_TAPER, Quantity.POINT_IN_CAMERA), len(conventions) > 1),
             lens_link(*conventions),
         )
     )

@@ -17,7 +17,7 @@ from metrocli.arrays import Array, Mask
 from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.geometry.rotations import rotation_from_vector
-from metrocli.instruments.frames import Into, PointOf
+from metrocli.instruments.frames import PointOf, ToFrame
 from metrocli.instruments.tracer import POINT
 from metrocli.instruments.tracker import PolarReading, ReadPolar
 
@@ -173,7 +173,7 @@ class HeightBetween(OfBlock):
 
 
 _INTO: Mapping[str, tuple[Link, ...]] = {
-    STATION: (Into(STATION, Quantity.POINT_IN_MACHINE, Quantity.POINT_IN_TRACKER),),
+    STATION: (ToFrame(STATION, Quantity.POINT_IN_MACHINE, Quantity.POINT_IN_TRACKER),),
     LEVELLED: (IntoLevelled(), Oriented()),
     OVER: (IntoOver(), Oriented()),
 }

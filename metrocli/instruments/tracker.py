@@ -10,7 +10,7 @@ from metrocli.adjust.model.quantities import Quantity
 from metrocli.arrays import Array
 from metrocli.frozen import dataclass
 from metrocli.geometry import poses
-from metrocli.instruments.frames import Into
+from metrocli.instruments.frames import ToFrame
 
 TRACKER, LEG = "tracker", "leg"
 """Blocks: pose of the tracker in the machine; two unit vectors across each leg of a path"""
@@ -83,7 +83,7 @@ class AcrossLeg:
 
 def point_chain(to: Chain) -> Chain:
     """Return the forward model of the end of a chain as measured by the tracker."""
-    return Chain((*to.links, Into(TRACKER, Quantity.POINT_IN_MACHINE, Quantity.POINT_IN_TRACKER)))
+    return Chain((*to.links, ToFrame(TRACKER, Quantity.POINT_IN_MACHINE, Quantity.POINT_IN_TRACKER)))
 
 
 def path_chain(to: Chain) -> Chain:

@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from metrocli import tasks
-from metrocli.effects import wanted as effects
+from metrocli.effects import requested as effects
 from metrocli.effects.own import columns
-from metrocli.effects.wanted import Wanted
+from metrocli.effects.requested import RequestedEffect
 from metrocli.errors import Fault, InputError, UsageError
 from metrocli.formats.csv_text import numeric
 from metrocli.frozen import dataclass
@@ -43,7 +43,7 @@ class JobFile:
     text: str
     """The text of the job as used, after --set."""
     root: Node
-    effects: tuple[Wanted, ...] = ()
+    effects: tuple[RequestedEffect, ...] = ()
     wishes: JobOptions = field(default_factory=lambda: JobOptions())
     """What the command line asked for when it was loaded"""
 
@@ -125,9 +125,9 @@ def load(path: Path, wishes: JobOptions | None = None) -> JobFile:
     faults: list[Fault] = []
     root, text = _stated(path, wishes, faults)
     read = _read(root, path, wishes, faults)
-    read, wanted, own = _with_effects(read, path, wishes, faults)
-    inputs, output = _checked(read, wanted, path, wishes, faults)
-    return JobFile(path, read.heading, read.settings, inputs, output, text, root, wanted, wishes, own)
+    read, requests, own = _with_effects(read, path, wishes, faults)
+    inputs, output = _checked(read, requests, path, wishes, faults)
+    return JobFile(path, read.heading, read.settings, inputs, output, text, root, requests, wishes, own)
 
 
 @dataclass(frozen=True)
@@ -170,7 +170,7 @@ def _read(root: Node, path: Path, wishes: JobOptions, faults: list[Fault]) -> _R
 
 def _with_effects(
     job: _ReadJob, path: Path, wishes: JobOptions, faults: list[Fault]
-) -> tuple[_ReadJob, tuple[Wanted, ...], UserEffects]:
+) -> tuple[_ReadJob, tuple[RequestedEffect, ...], UserEffects]:
     """Return a job that reads the columns of its user-defined effects, the effects that it wants, and its own."""
     task, files = tasks.KINDS[job.kind].task(), [(item.spec, item.paths) for item in job.inputs]
     further = cache(lambda: columns.variables(files, numeric))
@@ -180,11 +180,11 @@ def _with_effects(
     if any(effect.definition for effect in own.effects):
         specs = [replace(item, spec=columns.reading(item.spec, further(), own.effects)) for item in job.inputs]
         job = replace(job, inputs=tuple(specs))
-    wanted = effects.read((*task.effects, *own.effects), job.named, faults) if job.named else ()
-    return job, (*wanted, *_correlated(job, task, faults)), own
+    requests = effects.read((*task.effects, *own.effects), job.named, faults) if job.named else ()
+    return job, (*requests, *_correlated(job, task, faults)), own
 
 
-def _correlated(job: _ReadJob, task: Task[Any, Any], faults: list[Fault]) -> tuple[Wanted, ...]:
+def _correlated(job: _ReadJob, task: Task[Any, Any], faults: list[Fault]) -> tuple[RequestedEffect, ...]:
     """Return the correlated errors that a job states, if its kind can have them."""
     if job.heading is BAD or not job.heading.correlated:
         return ()
@@ -194,16 +194,16 @@ def _correlated(job: _ReadJob, task: Task[Any, Any], faults: list[Fault]) -> tup
         return ()
     from metrocli.effects import correlated
 
-    return correlated.wanted(job.heading.correlated, node.items, task.covariates)
+    return correlated.requests_of(job.heading.correlated, node.items, task.covariates)
 
 
 def _checked(
-    job: _ReadJob, wanted: tuple[Wanted, ...], path: Path, wishes: JobOptions, faults: list[Fault]
+    job: _ReadJob, requests: tuple[RequestedEffect, ...], path: Path, wishes: JobOptions, faults: list[Fault]
 ) -> tuple[tuple[Input, ...], Path]:
     """Return the inputs within the ranges of the job, and its output; raise InputError with all faults."""
     heading, inputs = job.heading, job.inputs
-    if heading is not BAD and job.settings is not BAD and heading.require and len(wanted) >= len(job.named):
-        known = figures_of(job.kind, job.settings, wanted)
+    if heading is not BAD and job.settings is not BAD and heading.require and len(requests) >= len(job.named):
+        known = figures_of(job.kind, job.settings, requests)
         for requirement in heading.require:
             requirement.limit_among(known, faults)
     if heading is not BAD and heading.ranges:
@@ -219,9 +219,9 @@ def _checked(
     return inputs, output
 
 
-def figures_of(kind: str, settings: Any, wanted: tuple[Wanted, ...]) -> dict[str, str]:
+def figures_of(kind: str, settings: Any, requests: tuple[RequestedEffect, ...]) -> dict[str, str]:
     """Return the units of all figures, by name, that the result of a job can have and a requirement can name."""
-    return tasks.KINDS[kind].figures(settings) | of_effects(wanted)
+    return tasks.KINDS[kind].figures(settings) | of_effects(requests)
 
 
 def load_parts(path: Path, wishes: JobOptions) -> list[JobFile]:

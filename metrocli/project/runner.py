@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from metrocli import __version__, tasks
 from metrocli.arrays import keep_memory
 from metrocli.doubt import MOST, doubts_of
-from metrocli.effects.wanted import planted
+from metrocli.effects.requested import planted
 from metrocli.errors import Fault, InputError, MetrocliError, NotConvergedError, UndeterminedError, UsageError
 from metrocli.formats import hdf5
 from metrocli.formats.file_bytes import refuse_unwritable

@@ -88,8 +88,8 @@ def verdict(content: Content) -> tuple[str, str]:
     out = [decision.name for decision in record.verdicts if decision.decision == FAIL]
     if out:
         return BAD, f"Fail: {listed(out)} {'is' if len(out) == 1 else 'are'} out of tolerance."
-    held = content.diagnosis
-    data = held.data if held is not None and held.of_this else {"verdict": "clean"}
+    diagnosis = content.diagnosis
+    data = diagnosis.data if diagnosis is not None and diagnosis.is_current else {"verdict": "clean"}
     if data["verdict"] != "clean":
         return BAD, f"Done, but {_WRONG.get(data['verdict'], data['verdict'])}."
     limits = _limits(data)
@@ -177,29 +177,29 @@ def _largest_shares(result: Result) -> Iterator[str]:
 
 def next_step(content: Content) -> str | Html:
     """Return what to do next with the result."""
-    record, held = content.record, content.diagnosis
-    held = held if held is not None and held.of_this else None
+    record, diagnosis = content.record, content.diagnosis
+    diagnosis = diagnosis if diagnosis is not None and diagnosis.is_current else None
     diagnose = code(f"metrocli diagnose {content.job}")
-    if held is not None:
-        if held.data.get("mistake"):
+    if diagnosis is not None:
+        if diagnosis.data.get("mistake"):
             return "Correct the mistake that the diagnosis found, and run the job again."
-        extended = held.data.get("extended_job")
+        extended = diagnosis.data.get("extended_job")
         if extended:
             command = code(f"metrocli {content.result.kind} {extended}")
             return Html(f"Run the job with what was found in its model: {command}.")
-        if held.data.get("outliers"):
+        if diagnosis.data.get("outliers"):
             return "Check the wrong readings, measure them again or leave them out, and run the job again."
-        if held.data.get("verdict") not in _CLEAN:
+        if diagnosis.data.get("verdict") not in _CLEAN:
             return "The residuals have structure that no known effect explains: measure what would separate causes."
-        if _ended(held.data):
+        if _ended(diagnosis.data):
             return Html(f"Diagnose with more time: {code(f'metrocli diagnose {content.job} --limit 600s')}.")
-        if _limits(held.data):
+        if _limits(diagnosis.data):
             return "Declare the noise that the readings have, or `noise: estimated`, and run the job again."
     if record.status == DOUBTFUL:
         return Html(f"Find the cause by {diagnose}.")
     if record.status not in USABLE:
         return "See which requirement is not met: measure more, or better, where the uncertainty is largest."
-    if held is None and content.result.statistics.get("dof") and residuals_of(content.result):
+    if diagnosis is None and content.result.statistics.get("dof") and residuals_of(content.result):
         return Html(f"Check the model by {diagnose}, then use or export the result.")
     if record.conformity == FAIL:
         return "Decide on what is out of tolerance: reject, rework, or a concession."
@@ -222,11 +222,11 @@ _MEANING = {
 
 def diagnosed(content: Content) -> Iterator[str | Html]:
     """Yield what the diagnosis at hand found, or how to make one."""
-    held = content.diagnosis
-    if held is not None and held.of_this:
-        yield from _lines(held.data)
-    elif held is not None:
-        yield f"{held.path} is the diagnosis of another job, or of other inputs: diagnose again."
+    diagnosis = content.diagnosis
+    if diagnosis is not None and diagnosis.is_current:
+        yield from _lines(diagnosis.data)
+    elif diagnosis is not None:
+        yield f"{diagnosis.path} is the diagnosis of another job, or of other inputs: diagnose again."
     elif residuals_of(content.result):
         yield Html(f"Not diagnosed yet: {code(f'metrocli diagnose {content.job}')}, then make this page again.")
     else:

@@ -88,7 +88,7 @@ class PrintedDiagnosis:
 
     data: Mapping[str, Any]
     path: str
-    of_this: bool
+    is_current: bool
     """Whether it is the diagnosis of this job with these inputs"""
 
 

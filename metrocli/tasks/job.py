@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from metrocli.effects.covariates import Covariates
     from metrocli.effects.effect import Effect
     from metrocli.effects.model import Model
-    from metrocli.effects.wanted import Wanted
+    from metrocli.effects.requested import RequestedEffect
     from metrocli.plan import Plan
     from metrocli.result import Estimate, Result
     from metrocli.simulation import Simulation, SimulationOptions
@@ -43,7 +43,7 @@ class Job(Generic[S, F]):
 
     settings: S
     files: F
-    effects: Sequence[Wanted] = ()
+    effects: Sequence[RequestedEffect] = ()
     workers: Workers | None = None
     """Workers that compute the chunks of a chunked kind; the threads of this process unless given"""
 
@@ -82,7 +82,7 @@ class Task(Generic[S, F]):
     other_settings: Callable[[Job[S, F], bool], Iterable[tuple[Mistake, Job[S, F]]]] | None = None
     """What may be wrong in the settings, each with the job that is right then; takes whether the readings fit"""
 
-    def job(self, settings: S, *contents: Any, effects: Sequence[Wanted] = (), **named: Any) -> Job[S, F]:
+    def job(self, settings: S, *contents: Any, effects: Sequence[RequestedEffect] = (), **named: Any) -> Job[S, F]:
         """Return a job from settings and the contents of its files, given in the order of `files` or by name."""
         return Job(settings, self.files(*contents, **named), effects)
 

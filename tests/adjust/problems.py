@@ -17,7 +17,7 @@ from metrocli.adjust.model.observations import Observations
 from metrocli.adjust.model.quantities import Quantity
 from metrocli.geometry import poses
 from metrocli.instruments import camera, spindle_camera
-from metrocli.instruments.frames import DistanceBetween, OutOf, PointOf
+from metrocli.instruments.frames import DistanceBetween, FromFrame, PointOf
 
 Array = npt.NDArray[np.float64]
 NOISE = 0.1
@@ -220,7 +220,7 @@ def one_frame_of_points() -> Problem:
     chain = Chain(
         (
             PointOf("target", Quantity.POINT_IN_PART),
-            OutOf("part", Quantity.POINT_IN_PART, Quantity.POINT_IN_MACHINE),
+            FromFrame("part", Quantity.POINT_IN_PART, Quantity.POINT_IN_MACHINE),
         )
     )
     readings = poses.apply(pose, points).T + 0.01 * rng.normal(size=(3, 12))

@@ -607,7 +607,7 @@ def test_the_diagnosis_is_kept_beside_the_result(folder: Path, metrocli: Metrocl
     )
     kept.write_text("{}")  # a file of one's own stays
     ran = metrocli("diagnose", job)
-    assert ran.code == 0 and "the diagnosis was not kept" in ran.err and kept.read_text() == "{}"
+    assert ran.code == 0 and "the diagnosis was not saved" in ran.err and kept.read_text() == "{}"
 
 
 def test_the_first_answer_names_what_explains_most(folder: Path, metrocli: Metrocli) -> None:

@@ -13,6 +13,7 @@ import pytest
 from places import SAMPLES
 
 from benchmarks.hidden import lengths
+from metrocli.diagnosis.corrections import corrections
 from metrocli.diagnosis.mistakes import misfit_ratio, without_mistakes
 from metrocli.table import Table
 from metrocli.tasks.multilaterate import task as multilaterate
@@ -70,6 +71,18 @@ def test_the_mistake_is_told(name: str) -> None:
     assert any(str(mistake).startswith(words) for mistake in mistaken.mistakes), [str(m) for m in mistaken.mistakes]
     assert misfit_ratio(adjusted) < 1
     assert mistaken.after < mistaken.before / 10
+
+
+@pytest.mark.parametrize(("symbol", "times"), [("um", 1e-3), ("m", 1e3)])
+def test_places_in_another_unit_keep_or_tighten_what_is_known_of_them(symbol: str, times: float) -> None:
+    """Standard deviations shrink with places in a smaller unit; they do not grow, or the places would yield to all."""
+    places = {axis: np.array([100.0, 250.0]) for axis in "xyz"}
+    table = Table({**places, "sigma": np.array([0.02, 0.03])}, dict.fromkeys([*"xyz", "sigma"], "mm"))
+    words = f"points: x_mm, y_mm and z_mm are in {symbol}"
+    (changed,) = (inputs["points"] for mistake, inputs in corrections({"points": table}) if str(mistake) == words)
+    assert isinstance(changed, Table)
+    assert changed.stacked("xyz") == pytest.approx(table.stacked("xyz") * times)
+    assert changed.numbers("sigma") == pytest.approx(table.numbers("sigma") * min(times, 1.0))
 
 
 def test_a_job_without_mistakes_is_left_alone() -> None:

@@ -18,7 +18,7 @@ from metrocli.arrays import Array
 from metrocli.effects.links.lens_shape import Knots, LensShape
 from metrocli.geometry import poses
 from metrocli.instruments import frames, launch_unit, spindle_camera, tracer
-from metrocli.instruments.frames import DistanceBetween, Into, OutOf, PointOf
+from metrocli.instruments.frames import DistanceBetween, FromFrame, PointOf, ToFrame
 from metrocli.instruments.launch_unit import AboutBase, BeamBack, BeamLength, BeamOut, Encoders, Reading
 from metrocli.instruments.lenses import lens
 from metrocli.instruments.lenses.lens import PARAMETERS, Lens, LensBackward
@@ -141,10 +141,10 @@ def reading(block: Block, columns: tuple[int, ...]) -> ReadBlock:
 CASES: dict[str, Case] = {
     "PointOf": Case(PointOf("points", ON_TARGETS, (1.0, -2.0, 3.0)), (point_block(5),)),
     "PointOf, one": Case(PointOf("points", ON_TARGETS), (point_block(1),)),
-    "OutOf": Case(OutOf("pose", ON_TARGETS, IN_CAMERA), (pose_block("pose", 4),)),
-    "OutOf, one": Case(OutOf("pose", ON_TARGETS, IN_CAMERA), (pose_block("pose", 1),)),
-    "Into": Case(Into("pose", ON_TARGETS, IN_CAMERA), (pose_block("pose", 4),)),
-    "Into, one": Case(Into("pose", ON_TARGETS, IN_CAMERA), (pose_block("pose", 1),)),
+    "FromFrame": Case(FromFrame("pose", ON_TARGETS, IN_CAMERA), (pose_block("pose", 4),)),
+    "FromFrame, one": Case(FromFrame("pose", ON_TARGETS, IN_CAMERA), (pose_block("pose", 1),)),
+    "ToFrame": Case(ToFrame("pose", ON_TARGETS, IN_CAMERA), (pose_block("pose", 4),)),
+    "ToFrame, one": Case(ToFrame("pose", ON_TARGETS, IN_CAMERA), (pose_block("pose", 1),)),
     "DistanceBetween": Case(DistanceBetween("points"), (point_block(5),), touched=2),
     "Returned": Case(Returned(), (Block("stop", POINTS, tuple("xyz"), tuple("abcde")),)),
     "LengthFrom": Case(LengthFrom(), (Block("tracer", TRACERS, tracer.COLUMNS, tuple("abc")),)),
@@ -312,7 +312,7 @@ def test_derivatives_by_the_blocks(case: Case) -> None:
 
 
 def test_a_link_leaves_out_derivatives_that_nobody_wants() -> None:
-    for case in (CASES["Lens, all"], CASES["OutOf"], CASES["Into"], CASES["PointOf"]):
+    for case in (CASES["Lens, all"], CASES["FromFrame"], CASES["ToFrame"], CASES["PointOf"]):
         step = case.link.step(case.value(), replace(case.local(case.blocks), wanted=frozenset()))
         assert not step.by_block
 
@@ -325,21 +325,21 @@ def test_points_behind_the_camera_have_no_image() -> None:
 
 
 CHAINS = {
-    "board": (PointOf("points", ON_TARGETS), OutOf("pose", ON_TARGETS, IN_CAMERA), Lens()),
-    "network": (PointOf("points", ON_TARGETS), Into("pose", ON_TARGETS, IN_CAMERA), Lens()),
-    "backward": (PointOf("points", ON_TARGETS), Into("pose", ON_TARGETS, IN_CAMERA), LensBackward()),
+    "board": (PointOf("points", ON_TARGETS), FromFrame("pose", ON_TARGETS, IN_CAMERA), Lens()),
+    "network": (PointOf("points", ON_TARGETS), ToFrame("pose", ON_TARGETS, IN_CAMERA), Lens()),
+    "backward": (PointOf("points", ON_TARGETS), ToFrame("pose", ON_TARGETS, IN_CAMERA), LensBackward()),
     "part": (
         PointOf("points", Quantity.POINT_IN_PART),
-        OutOf("part", Quantity.POINT_IN_PART, Quantity.POINT_IN_MACHINE),
-        Into("pose", Quantity.POINT_IN_MACHINE, Quantity.POINT_IN_SPINDLE),
+        FromFrame("part", Quantity.POINT_IN_PART, Quantity.POINT_IN_MACHINE),
+        ToFrame("pose", Quantity.POINT_IN_MACHINE, Quantity.POINT_IN_SPINDLE),
         Coupling(),
-        Into("taper", Quantity.POINT_IN_TAPER, IN_CAMERA),
+        ToFrame("taper", Quantity.POINT_IN_TAPER, IN_CAMERA),
         Lens(),
     ),
     "one pose twice": (
         PointOf("points", Quantity.POINT_IN_PART),
-        OutOf("pose", Quantity.POINT_IN_PART, Quantity.POINT_IN_MACHINE),
-        Into("pose", Quantity.POINT_IN_MACHINE, IN_CAMERA),
+        FromFrame("pose", Quantity.POINT_IN_PART, Quantity.POINT_IN_MACHINE),
+        ToFrame("pose", Quantity.POINT_IN_MACHINE, IN_CAMERA),
         Lens(),
     ),
 }

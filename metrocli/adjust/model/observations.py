@@ -49,8 +49,8 @@ class Lattice:
         return full.reshape(*chosen.shape[:-1], self.shape[0] * self.shape[1])
 
 
-_FEW = 3
-"""Components of a reading that are decorrelated row by row"""
+_MOST_BY_ROWS = 3
+"""Components of a reading, at most, that are decorrelated row by row"""
 
 
 @dataclass(frozen=True)
@@ -82,12 +82,12 @@ class Observations:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "sigma", np.broadcast_to(np.asarray(self.sigma, dtype=float), self.readings.shape))
-        inverse = None
+        whitening = None
         if self.covariance is not None:
             # once here and not at each step: the covariance of readings stays as it is through an adjustment
             inverse = np.linalg.inv(np.linalg.cholesky(np.moveaxis(self.covariance, -1, 0)))
-            inverse = np.ascontiguousarray(np.moveaxis(inverse, 0, -1))
-        object.__setattr__(self, "_whitening", inverse)
+            whitening = np.ascontiguousarray(np.moveaxis(inverse, 0, -1))
+        object.__setattr__(self, "_whitening", whitening)
 
     @property
     def count(self) -> int:
@@ -109,7 +109,7 @@ class Observations:
     def whitened(self, values: Array) -> Array:
         """Return values (d, ..., n) decorrelated and in units of their standard deviations."""
         if self._whitening is not None:
-            if len(values) > _FEW:
+            if len(values) > _MOST_BY_ROWS:
                 return np.asarray(np.einsum("abn,b...n->a...n", self._whitening, values))
             # lower triangular; whole rows are several times faster than einsum
             rows = [
@@ -130,21 +130,22 @@ class Observations:
         rows = chosen.tolist()  # a tuple takes them several times faster than elements of an array
         return replace(
             self,
-            **self._numbers(chosen),
+            **self._values_of(chosen),
             index={name: index[..., chosen] for name, index in self.index.items()},
             keys={name: tuple(map(values.__getitem__, rows)) for name, values in self.keys.items()},
         )
 
     def in_lattice(self, chosen: Index, lattice: Lattice) -> Observations:
         """Return the readings chosen by indices (n,) that are in the regular order of `lattice`; without keys."""
-        return replace(self, **self._numbers(chosen), index={}, keys={}, lattice=lattice)
+        return replace(self, **self._values_of(chosen), index={}, keys={}, lattice=lattice)
 
     def without_keys(self, chosen: Index | slice) -> Observations:
         """Return the readings chosen by indices (n,) or a slice, without their keys."""
         index = {name: index[..., chosen] for name, index in self.index.items()}
-        return replace(self, **self._numbers(chosen), index=index, keys={})
+        return replace(self, **self._values_of(chosen), index=index, keys={})
 
-    def _numbers(self, chosen: Index | slice) -> dict[str, Any]:
+    def _values_of(self, chosen: Index | slice) -> dict[str, Any]:
+        """Return the fields with one number for each reading, of the chosen readings."""
         return {
             "readings": self.readings[:, chosen],
             "sigma": self.sigma[:, chosen],

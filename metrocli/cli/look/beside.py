@@ -50,8 +50,8 @@ def beside_of(result: Path, diagnosis: PrintedDiagnosis | None, before: Path | N
     from metrocli.plots.beside import Beside
     from metrocli.project.provenance.lineage import shortened, trace
 
-    held = diagnosis.data if diagnosis is not None and diagnosis.of_this else None
-    return Beside(held, _before(result, before), tuple(_nodes(shortened(trace(result)))))
+    data = diagnosis.data if diagnosis is not None and diagnosis.is_current else None
+    return Beside(data, _before(result, before), tuple(_nodes(shortened(trace(result)))))
 
 
 def _before(result: Path, given: Path | None) -> Result | None:

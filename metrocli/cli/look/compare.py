@@ -11,7 +11,7 @@ import click
 from metrocli.cli import options
 from metrocli.cli.console import echo
 from metrocli.cli.look import repeated, requirement
-from metrocli.cli.look.held import held
+from metrocli.cli.look.opened import opened_result
 from metrocli.words import listed
 
 if TYPE_CHECKING:
@@ -45,7 +45,7 @@ def command(
     from metrocli.uncertainty.comparison import compare
 
     wanted = requirement.read(require, FIGURES)
-    (before, of_one), (other, of_other) = held(first), held(second)
+    (before, of_one), (other, of_other) = opened_result(first), opened_result(second)
     comparison, shared = compare(before, other), _shared(of_one, of_other)
     lenses = _lenses(before, other)
     if as_json:

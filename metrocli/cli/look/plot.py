@@ -16,7 +16,6 @@ from metrocli.errors import Fault, InputError, UsageError
 
 if TYPE_CHECKING:
     from metrocli.plots.beside import Beside
-    from metrocli.report.html import PrintedDiagnosis
     from metrocli.result import Result
 
 _FILE = click.Path(path_type=Path)
@@ -32,7 +31,7 @@ _FILE = click.Path(path_type=Path)
 @options.FORCE
 @options.JSON
 @options.QUIET
-def command(result: Path, name: str | None, save: Path | None, as_json: bool, **wanted: Any) -> int:
+def command(result: Path, name: str | None, save: Path | None, as_json: bool, **flags: Any) -> int:
     """Print the names, or write one figure (by default RESULT.NAME.svg beside the result) and print its path.
 
     A file that metrocli did not write is replaced with `force` only.
@@ -41,20 +40,25 @@ def command(result: Path, name: str | None, save: Path | None, as_json: bool, **
     from metrocli.formats.own_files import refuse_inputs, write_all
 
     stored, record = hdf5.read(result)
-    given = wanted["diagnosis"]
-    beside = beside_of(result, _of_this(diagnosis_of(result, given, record), given), wanted["before"])
+    given = flags["diagnosis"]
+    diagnosis = diagnosis_of(result, given, record)
+    # one beside the result that is out of date is left out; one that was named would be missed
+    if given is not None and diagnosis is not None and not diagnosis.is_current:
+        hint = "diagnose the job of this result again"
+        raise InputError([Fault("this is the diagnosis of another job, or of other inputs", str(given), hint=hint)])
+    beside = beside_of(result, diagnosis, flags["before"])
     if name is None:
         if save is not None:
             raise UsageError("--save needs the name of a figure; without a name and --save, plot lists them")
-        return _list(stored, beside, as_json)
+        return _print_names(stored, beside, as_json)
     path = save or result.with_name(f"{result.stem}.{name}.svg")
-    data = _drawn(stored, name, path, beside, wanted["dark"])
+    data = _figure_data(stored, name, path, beside, flags["dark"])
     refuse_inputs([path], (result, *record.files(result)))
-    return print_files(write_all({path: data}, wanted["force"]), as_json, wanted["quiet"])
+    return print_files(write_all({path: data}, flags["force"]), as_json, flags["quiet"])
 
 
-def _list(result: Result, beside: Beside, as_json: bool) -> int:
-    """Print the names of the figures that a result can show."""
+def _print_names(result: Result, beside: Beside, as_json: bool) -> int:
+    """Print the names of the figures that a result can show; return 0."""
     from metrocli import plots
 
     summaries = {figure: plots.FIGURES[figure].summary for figure in plots.names_of(result, beside)}
@@ -69,20 +73,12 @@ def _list(result: Result, beside: Beside, as_json: bool) -> int:
     return 0
 
 
-def _drawn(result: Result, name: str, path: Path, beside: Beside, dark: bool) -> bytes:
+def _figure_data(result: Result, name: str, path: Path, beside: Beside, dark: bool) -> bytes:
     """Return the figure for a path, in the format that its ending names."""
     from metrocli import plots
 
     plots.check(result, name, path, beside)
     with TemporaryDirectory() as folder:
-        drawn = Path(folder) / "figure"
-        plots.save(result, name, drawn, path.suffix, dark, beside)
-        return drawn.read_bytes()
-
-
-def _of_this(diagnosis: PrintedDiagnosis | None, given: Path | None) -> PrintedDiagnosis | None:
-    """Return a diagnosis; raise InputError if one that was given is of another job, or of other inputs."""
-    if given is not None and diagnosis is not None and not diagnosis.of_this:
-        hint = "diagnose the job of this result again"
-        raise InputError([Fault("this is the diagnosis of another job, or of other inputs", str(given), hint=hint)])
-    return diagnosis
+        figure = Path(folder) / "figure"
+        plots.save(result, name, figure, path.suffix, dark, beside)
+        return figure.read_bytes()

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from metrocli.cli.console import echo
 from metrocli.cli.look import requirement
-from metrocli.cli.look.held import held
+from metrocli.cli.look.opened import opened_result
 from metrocli.errors import UsageError
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ def series(files: tuple[Path, ...], days: str | None, require: str | None, as_js
 
     wanted = requirement.read(require, OF_SERIES)
     times, time = _times(days, len(files))
-    calibrations = repeated([held(file)[0] for file in files], times)
+    calibrations = repeated([opened_result(file)[0] for file in files], times)
     echo(
         summary.as_json(_figures_of_series(calibrations, files, times, time))
         if as_json
@@ -100,7 +100,7 @@ def sets(files: tuple[Path, ...], days: str | None, require: str | None, as_json
     from metrocli.uncertainty.repeated_sets import repetition
 
     wanted = requirement.read(require, OF_SETS)
-    repeats = repetition([held(file)[0] for file in files])
+    repeats = repetition([opened_result(file)[0] for file in files])
     echo(summary.as_json(_figures_of_sets(repeats)) if as_json else _text_of_sets(repeats))
     return 0 if wanted is None else wanted.exit_code(repeats)
 

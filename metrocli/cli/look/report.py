@@ -97,7 +97,7 @@ def _printed(pages: Mapping[Path, str], done: Counter) -> dict[Path, bytes]:
     return files
 
 
-def _page(result: Path, diagnosis: Path | None, home: Path, units: str, name: str = "") -> str:
+def _page(result: Path, given: Path | None, home: Path, units: str, name: str = "") -> str:
     """Return the page of a result; its files and its job, if that has no `name`, are named from the folder `home`.
 
     Estimates and tables are in `units`; figures have theirs.
@@ -115,10 +115,12 @@ def _page(result: Path, diagnosis: Path | None, home: Path, units: str, name: st
     for shown in stated.shown:
         if shown.name in stated.tables and len(stated.tables[shown.name]):
             tables[shown.name] = columns.table_text(shown.of(stated.tables[shown.name]))
-    held = diagnosis_of(result, diagnosis, record)
+    diagnosis = diagnosis_of(result, given, record)
     job = name or (_from(home, result.parent / record.job_file) if record.job_file else "JOB.yaml")
     record = with_standards(result, record)
-    return result_page(Content(stored, record, _from(home, result), tables, held, job, beside_of(result, held), stated))
+    return result_page(
+        Content(stored, record, _from(home, result), tables, diagnosis, job, beside_of(result, diagnosis), stated)
+    )
 
 
 def _project(place: Path, out: Path | None, units: str, done: Counter) -> dict[Path, str]:
@@ -154,8 +156,8 @@ def _project(place: Path, out: Path | None, units: str, done: Counter) -> dict[P
 
 def _verdict(result: Path, record: Record | None) -> str:
     """Return the verdict of the diagnosis beside a result, or "" without one of this result."""
-    held = None if record is None else diagnosis_of(result, None, record)
-    return str(held.data["verdict"]) if held is not None and held.of_this else ""
+    diagnosis = None if record is None else diagnosis_of(result, None, record)
+    return str(diagnosis.data["verdict"]) if diagnosis is not None and diagnosis.is_current else ""
 
 
 def _charts(judged: Sequence[Staleness], home: Path) -> Iterator[Html]:

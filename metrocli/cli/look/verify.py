@@ -11,7 +11,7 @@ import click
 from metrocli.cli import options
 from metrocli.cli.console import echo
 from metrocli.cli.look import requirement
-from metrocli.cli.look.held import held
+from metrocli.cli.look.opened import opened_result
 from metrocli.frozen import dataclass
 
 if TYPE_CHECKING:
@@ -47,7 +47,7 @@ def command(result: Path, check: Path, aligned: bool, mpe: str | None, require: 
 
     wanted = requirement.read(require, FIGURES if mpe else FIGURES[:2])
     limit = None if mpe is None else permitted(mpe)
-    calibrated, _ = held(result)
+    calibrated, _ = opened_result(result)
     header = taken_apart(read_text(check, str(check)), str(check)).header
     table = csv.read(check, columns_for(calibrated, header))
     verification = verify(calibrated, table, aligned)

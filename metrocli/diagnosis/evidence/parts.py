@@ -18,7 +18,10 @@ EFFECT, READING, UNKNOWN, TERM = "effect", "reading", "unknown cause", "term of 
 """Sorts of fixed columns"""
 SCATTER, CORRELATED = "scatter", "correlated"
 _SEEN = 1e-4
-"""Smallest singular value of unit columns, relative to the largest, that counts as a column"""
+"""Smallest singular value of unit columns, relative to the largest, that counts as a column
+
+A Gram matrix shows singular values down to 1e-8: the direction of a column near that would be rounding.
+"""
 LARGEST = 2 * float(np.log(10.0))
 """ln of the largest variance of a correlated error, in that of the noise: ten times the declared one"""
 
@@ -74,10 +77,11 @@ class Random:
 
 def fixed(whole: Array, gram: Array, key: tuple[int, int], price: float, sort: str = EFFECT) -> Fixed:
     """Return the columns that are seen apart of whole ones (rows, q), whose visible parts have products `gram`."""
-    size = np.sqrt(np.maximum(np.diag(gram), 1e-300))
-    values, vectors = np.linalg.eigh(gram / size / size[:, None])
+    lengths = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    # columns of unit length: parameters of different units are compared
+    values, vectors = np.linalg.eigh(gram / lengths / lengths[:, None])
     kept = values > _SEEN**2 * max(float(values[-1]), 1e-300)
-    turn = vectors[:, kept] / np.sqrt(values[kept]) / size[:, None]
+    turn = vectors[:, kept] / np.sqrt(values[kept]) / lengths[:, None]
     return Fixed(*key, whole @ turn, turn, price, sort)
 
 
@@ -100,11 +104,12 @@ class Knots:
     def of(cls, functions: Functions) -> Knots:
         """Return the functions of a covariate row by row."""
         matrix = functions.columns
-        rows, knots = matrix.shape[0], len(functions.distances)
+        rows, knots, units = matrix.shape[0], len(functions.distances), functions.count
+        # all rows have as many entries: their arrays are tables
         m = matrix.nnz // rows
         values, numbers = matrix.data.reshape(rows, m), matrix.indices.reshape(rows, m).astype(np.intp)
+        # columns are ordered by component, in it by unit, in it by knot
         copy = numbers[:, 0] // knots
-        units = functions.count
         # all zero: the row has no function of this covariate, but the sparse table has its entries all the same
         idle = ~values.any(axis=1)
         return cls(
@@ -120,19 +125,19 @@ class Knots:
         """Return the columns of each row's own unit, (rows, components*k), of a turn of the knots (knots, k)."""
         k = turn.shape[1]
         columns = np.zeros((len(self.values), self.components, k))
-        mixed = np.einsum("rm,rmk->rk", self.values, turn[self.numbers])
-        there = self.component >= 0
+        combined = np.einsum("rm,rmk->rk", self.values, turn[self.numbers])
+        has_functions = self.component >= 0
         if unit >= 0:
-            there &= self.unit == unit
-        rows = np.flatnonzero(there)
-        columns[rows, self.component[rows]] = mixed[rows]
+            has_functions &= self.unit == unit
+        rows = np.flatnonzero(has_functions)
+        columns[rows, self.component[rows]] = combined[rows]
         return columns.reshape(len(columns), -1)
 
     def spread(self, turn: Array, unit: int = -1) -> Array:
         """Return the columns of all units side by side, (rows, components*units*k), or those of one unit."""
-        own = self.compact(turn, unit)
+        compact = self.compact(turn, unit)
         if unit >= 0 or self.functions.count == 1:
-            return own
-        columns = np.zeros((len(own), self.functions.count, own.shape[1]))
-        columns[np.arange(len(own)), self.unit] = own
-        return columns.reshape(len(own), -1)
+            return compact
+        columns = np.zeros((len(compact), self.functions.count, compact.shape[1]))
+        columns[np.arange(len(compact)), self.unit] = compact
+        return columns.reshape(len(compact), -1)

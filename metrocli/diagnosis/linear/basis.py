@@ -32,8 +32,8 @@ _THICK = 0.15
 """Share of numbers that are not zero above which a product of columns takes less time as of a table"""
 _FEW = 0.1
 """Share of the rows with a value below which these rows are gathered"""
-_LOOKED_AT = 1000
-"""Rows that are looked at to estimate how many have a value"""
+_SAMPLE = 1000
+"""Rows by which the share of those with a value is estimated"""
 _AT_ONCE = 25_000
 """Rows that are combined at once"""
 
@@ -86,16 +86,16 @@ class Basis:
         """Subtract `b coordinates` from values (rows, k) where they are, some rows at a time."""
         count = self._sparse.shape[1]
         for start in range(0, len(values), _AT_ONCE):
-            own = slice(start, start + _AT_ONCE)
-            values[own] -= self._sparse[own] @ coordinates[:count] + self.shared[own] @ coordinates[count:]
+            rows = slice(start, start + _AT_ONCE)
+            values[rows] -= self._sparse[rows] @ coordinates[:count] + self.shared[rows] @ coordinates[count:]
 
     def squares(self, rows: Index | Mask | slice = slice(None)) -> Array:
         """Return the sum of squares of each row, the share of a reading that the unknowns absorb."""
-        own = np.arange(len(self.local))[rows]
-        # at least one part, also of no rows, so that there is something to join
-        some = (own[start : start + _AT_ONCE] for start in range(0, max(len(own), 1), _AT_ONCE))
-        parts = ((self.local[part], self.shared[part]) for part in some)
-        return np.concatenate([sum(np.einsum("rk,rk->r", part, part) for part in both) for both in parts])
+        numbers = np.arange(len(self.local))[rows]
+        # at least one chunk, also of no rows, so that there is something to join
+        chunks = (numbers[start : start + _AT_ONCE] for start in range(0, max(len(numbers), 1), _AT_ONCE))
+        pairs = ((self.local[chunk], self.shared[chunk]) for chunk in chunks)
+        return np.concatenate([sum(np.einsum("rk,rk->r", part, part) for part in pair) for pair in pairs])
 
     @property
     def trace(self) -> float:
@@ -123,8 +123,8 @@ class Basis:
         """Return `g' b b' g` of sparse columns (rows, k), (k, k): the products that the unknowns absorb."""
         shared = columns.T @ self.shared
         gram = shared @ shared.T
-        for rows, own in self._by_whole_members:
-            local = columns[rows].T @ own
+        for rows, local_columns in self._by_whole_members:
+            local = columns[rows].T @ local_columns
             if local.nnz > _THICK * local.shape[0] * local.shape[1]:
                 local = local.toarray()
             gram += squared(local.T)
@@ -189,29 +189,28 @@ class Basis:
         from scipy.linalg import solve_triangular
 
         local = self.local * factor[:, None]
-        there = self.member >= 0
         gram = np.zeros((self.members + 1, local.shape[1], local.shape[1]))
         for i, j in combinations_with_replacement(range(local.shape[1]), 2):
             sums = np.bincount(self.member + 1, local[:, i] * local[:, j], self.members + 1)
             # rows without a member are counted at 0; the roll brings them to the end, where index -1 finds them
             gram[:, i, j] = gram[:, j, i] = np.roll(sums, -1)
-        nothing = np.einsum("mqq->mq", gram) == 0
+        is_zero = np.einsum("mqq->mq", gram) == 0
         # 1 for columns of a member that are 0: they stay 0, and add nothing to the determinant
-        lower = np.linalg.cholesky(gram + np.eye(local.shape[1]) * nothing[:, :, None])
+        lower = np.linalg.cholesky(gram + np.eye(local.shape[1]) * is_zero[:, :, None])
         log_det = 2 * float(np.log(np.einsum("mqq->mq", lower)).sum())
         inverse = np.linalg.inv(lower)
-        own = np.where(there[:, None], np.einsum("rq,rpq->rp", local, inverse[self.member]), 0.0)
-        bare = replace(self.of_members, local=own)
+        orthonormal = np.where((self.member >= 0)[:, None], np.einsum("rq,rpq->rp", local, inverse[self.member]), 0.0)
+        local_basis = replace(self.of_members, local=orthonormal)
         shared = self.shared * factor[:, None]
         # what is orthogonal to a member stays so where all its weights, or none, have changed alike
         uneven = self._uneven(factor)
-        some = bare.at(uneven)
-        shared[uneven] -= some.combined(some.coordinates(shared[uneven]))
+        changed = local_basis.at(uneven)
+        shared[uneven] -= changed.combined(changed.coordinates(shared[uneven]))
         if shared.shape[1]:
             lower = np.linalg.cholesky(shared.T @ shared)
             log_det += 2 * float(np.log(np.diag(lower)).sum())
             shared = solve_triangular(lower, shared.T, lower=True, overwrite_b=True, check_finite=False).T
-        return replace(bare, shared=np.ascontiguousarray(shared)), log_det
+        return replace(local_basis, shared=np.ascontiguousarray(shared)), log_det
 
     def _uneven(self, factor: Array) -> Index:
         """Return the rows of the members whose rows have different factors, (rows,)."""
@@ -228,8 +227,8 @@ class Basis:
 
     def holds_whole_members(self, rows: Index) -> bool:
         """Whether some rows contain all rows of each local member that they use."""
-        there, whole = (np.bincount(part + 1, minlength=self.members + 1) for part in (self.member[rows], self.member))
-        return bool(((there == 0) | (there == whole))[1:].all())
+        counts, totals = (np.bincount(of + 1, minlength=self.members + 1) for of in (self.member[rows], self.member))
+        return bool(((counts == 0) | (counts == totals))[1:].all())
 
 
 def members_of_equal_size(member: Index, members: int) -> Iterator[tuple[Index, Index]]:
@@ -267,22 +266,23 @@ def thin(columns: Array) -> Columns:
 
 def squared(columns: Columns) -> Array:
     """Return the products of columns (rows, k), dense or sparse, with each other, (k, k)."""
-    found = columns.T @ columns
-    return np.asarray(found if isinstance(found, np.ndarray) else found.toarray())
+    products = columns.T @ columns
+    return np.asarray(products if isinstance(products, np.ndarray) else products.toarray())
 
 
 def rows_with_values(columns: Array) -> Index:
     """Return the rows where any of some columns (rows, k) is not zero."""
-    there = np.zeros(len(columns), dtype=bool)
+    has_value = np.zeros(len(columns), dtype=bool)
+    # column by column: `(columns != 0).any(axis=1)` makes a table of all first
     for column in columns.T:
-        there |= column != 0
-    return np.flatnonzero(there)
+        has_value |= column != 0
+    return np.flatnonzero(has_value)
 
 
 def _has_few(columns: Array) -> bool:
     """Return whether few rows of some columns (rows, k) have a value, by some of them."""
-    some = columns[:: max(len(columns) // _LOOKED_AT, 1)]
-    return bool(some.any(axis=1).sum() < _FEW * len(some))
+    sample = columns[:: max(len(columns) // _SAMPLE, 1)]
+    return bool(sample.any(axis=1).sum() < _FEW * len(sample))
 
 
 def grams_of(columns: Array) -> Array:

@@ -13,7 +13,7 @@ from metrocli.adjust.solution import Solution, residuals_of
 from metrocli.arrays import Array
 from metrocli.effects.effect import Effect
 from metrocli.effects.extension import can_act, with_conditions, with_effect
-from metrocli.effects.wanted import Wanted
+from metrocli.effects.requested import RequestedEffect
 from metrocli.errors import UndeterminedError
 from metrocli.instruments import tracer as t
 from metrocli.plan import Plan
@@ -35,7 +35,7 @@ _BLIND = 100.0
 """Standard deviations of an effect, in its largest usual size, from which the network cannot see it"""
 
 
-def planned(settings: Settings, files: Files, effects: tuple[Wanted, ...]) -> Plan:
+def planned(settings: Settings, files: Files, effects: tuple[RequestedEffect, ...]) -> Plan:
     """Return what the stations of the list will determine, and where further ones would stand best.
 
     Raises InputError without points or places of stations, UndeterminedError if the network is not determined.
@@ -57,7 +57,9 @@ def planned(settings: Settings, files: Files, effects: tuple[Wanted, ...]) -> Pl
 _HEAD = ("effect [text]", "instrument [text]", "std", "unit [text]", "usual [text]", "seen")
 
 
-def _network(settings: Settings, files: Files, truth: NetworkSimulation, effects: tuple[Wanted, ...]) -> Network:
+def _network(
+    settings: Settings, files: Files, truth: NetworkSimulation, effects: tuple[RequestedEffect, ...]
+) -> Network:
     network = true_network(settings, designed(settings, files, truth), np.random.default_rng(_SEED))
     return network.with_effects(effects)
 
@@ -154,7 +156,7 @@ def _figures(solution: Solution) -> Iterator[Estimate]:
 
 
 def _further(
-    settings: Settings, files: Files, truth: NetworkSimulation, effects: tuple[Wanted, ...]
+    settings: Settings, files: Files, truth: NetworkSimulation, effects: tuple[RequestedEffect, ...]
 ) -> tuple[list[str], Table]:
     """Return where further stations stand best: each is the best of a grid beside those before it."""
     wish = settings.plan

@@ -15,7 +15,7 @@ from metrocli.adjust.rounds import Aspect, Noise, with_aspects
 from metrocli.arrays import Array
 from metrocli.effects.model import Model, Place
 from metrocli.effects.modelled import Modelled
-from metrocli.effects.wanted import Wanted
+from metrocli.effects.requested import RequestedEffect
 from metrocli.frozen import dataclass
 from metrocli.instruments import stations as s
 from metrocli.instruments import tracer as t
@@ -37,7 +37,7 @@ class Network(Modelled):
     """Standard deviations of the groups whose noise depends on the geometry"""
     settings: Settings
     start: NetworkStart
-    wanted: tuple[Wanted, ...] = ()
+    requests: tuple[RequestedEffect, ...] = ()
     """Effects that the job adds"""
     first: int = -1
     """Station that stands at the origin, where nothing else gives the frame; -1 if it is given"""
@@ -63,14 +63,16 @@ class Network(Modelled):
 
     def of(self, readings: NetworkReadings, blocks: Mapping[str, Block]) -> Network:
         """Return the network of other readings, at the values of blocks."""
-        other = build(self.settings, readings, self.start, self.wanted).with_noise_times(self.factor)
+        other = build(self.settings, readings, self.start, self.requests).with_noise_times(self.factor)
         alike = {name: block for name, block in blocks.items() if other.blocks[name].members == block.members}
         return other.with_blocks(
             {name: block.with_values(alike.get(name, block).values) for name, block in other.blocks.items()}
         )
 
 
-def build(settings: Settings, readings: NetworkReadings, start: NetworkStart, wanted: Sequence[Wanted] = ()) -> Network:
+def build(
+    settings: Settings, readings: NetworkReadings, start: NetworkStart, requests: Sequence[RequestedEffect] = ()
+) -> Network:
     """Return the adjustment of readings with starting values, and with the effects that a job adds."""
     extent = float(np.nanmax(np.ptp(start.points[np.isfinite(start.points).all(axis=1)], axis=0), initial=0.0)) or 1.0
     blocks = {block.name: block for block in blocks_of(readings, start, extent)}
@@ -94,8 +96,8 @@ def build(settings: Settings, readings: NetworkReadings, start: NetworkStart, wa
     nominal = {t.POINT: blocks[t.POINT].values.copy()}
     ready = [_weighed(with_aspects(group, aspects, blocks)[0], noise, blocks) for group in groups]
     model = Model(blocks, (*ready, *g.known(readings, blocks)), datum, measured, places, aspects, nominal=nominal)
-    network = Network(model, readings, noise, settings, start, tuple(wanted), first)
-    return network.with_effects(wanted)
+    network = Network(model, readings, noise, settings, start, tuple(requests), first)
+    return network.with_effects(requests)
 
 
 def _weighed(group: Group, noise: Mapping[str, Noise], blocks: Mapping[str, Block]) -> Group:

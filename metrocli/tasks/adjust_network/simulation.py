@@ -14,7 +14,7 @@ from metrocli.arrays import Array
 from metrocli.effects.estimates import true_values
 from metrocli.effects.extension import extended
 from metrocli.effects.model import Model
-from metrocli.effects.wanted import Wanted
+from metrocli.effects.requested import RequestedEffect
 from metrocli.errors import InputError
 from metrocli.geometry import poses
 from metrocli.instruments import stations as s
@@ -135,7 +135,11 @@ def _at(network: Network, blocks: Mapping[str, Block]) -> Network:
 
 
 def simulated(
-    settings: Settings, files: Files, truth: NetworkSimulation, effects: Sequence[Wanted], rng: np.random.Generator
+    settings: Settings,
+    files: Files,
+    truth: NetworkSimulation,
+    effects: Sequence[RequestedEffect],
+    rng: np.random.Generator,
 ) -> Simulation:
     """Return what the instruments read of the points of the files, with effects and noise, and a list of points."""
     files = designed(settings, files, truth)

@@ -32,8 +32,8 @@ from metrocli.tasks.shared.images.covariates import (
 from metrocli.tasks.shared.images.eccentricity import diameters
 from metrocli.tasks.shared.uncontrolled import SCALE, SCALE_WORDS, Hidden, table_of
 
-_OF_ONE = ("focal-change", "principal-point-shift", "radial-distortion", "rolling-shutter")
-_ALONE = "it is sought in the images of one camera: leave out those of the others"
+_OF_ONE_CAMERA = ("focal-change", "principal-point-shift", "radial-distortion", "rolling-shutter")
+_OF_OTHERS = "it is sought in the images of one camera: leave out those of the others"
 
 
 def adjusted_job(problem: AlignmentProblem, adjusted: AdjustedImages) -> AdjustedJob:
@@ -53,31 +53,35 @@ def adjusted_job(problem: AlignmentProblem, adjusted: AdjustedImages) -> Adjuste
         single_components=True,
         sharing=len(np.unique(index["view"])),
         made_together=("image",),
-        not_sought=dict.fromkeys(_OF_ONE, _ALONE) if len(np.unique(index.get(LENS, 0))) > 1 else {},
+        not_sought=dict.fromkeys(_OF_ONE_CAMERA, _OF_OTHERS) if len(np.unique(index.get(LENS, 0))) > 1 else {},
     )
 
 
 def all_covariates(model: Model) -> list[Covariate]:
     """Return the covariates of the image points of an alignment."""
     index = model.readings[0].observations.index
-    held = model.blocks[spindle.SPINDLE].values
-    turn = poses.rotation_of(held)[index["view"]]
-    about = np.arctan2(turn[:, 1, 0], turn[:, 0, 0])
+    spindle_poses = model.blocks[spindle.SPINDLE].values
+    rotations = poses.rotation_of(spindle_poses)[index["view"]]
+    # the spindle turns about its own axis, z
+    angle = np.arctan2(rotations[:, 1, 0], rotations[:, 0, 0])
     return [
         *covariates(model),
         place_of_target(model, 2),
-        covariate("place of the spindle", held[index["view"], :3].T, 2),
-        covariate("turn of the spindle", np.stack([np.cos(about), np.sin(about)]), 2),
+        covariate("place of the spindle", spindle_poses[index["view"], :3].T, 2),
+        # as cosine and sine, which do not jump after a whole turn
+        covariate("turn of the spindle", np.stack([np.cos(angle), np.sin(angle)]), 2),
     ]
 
 
-_SEAT = units.parse_quantity("5 um", "length")
-_LISTED, _LISTED_WORDS = units.parse_quantity("1 mm", "length"), "1 mm"
+_SEAT, _SEAT_WORDS = units.parse_quantity("5 um", "length"), "5 um"
+"""How far the camera may sit along the spindle from where it was calibrated, assumed"""
+_LIST_ERROR, _LIST_ERROR_WORDS = units.parse_quantity("1 mm", "length"), "1 mm"
+"""Error of a listed place, assumed"""
 
 
 def uncontrolled(problem: AlignmentProblem, adjusted: AdjustedImages, files: Files) -> Table:
     """Return what the pose of the part absorbs or no reading uses, and the error from a plausible size of each."""
-    return table_of((*_rows(problem, adjusted), *_of_lists(adjusted, files)))
+    return table_of((*_absorbed(problem, adjusted), *_of_lists(adjusted, files)))
 
 
 def _of_lists(adjusted: AdjustedImages, files: Files) -> Iterator[Hidden]:
@@ -86,24 +90,24 @@ def _of_lists(adjusted: AdjustedImages, files: Files) -> Iterator[Hidden]:
         upright = poses.rotation_of(adjusted.solution.blocks[spindle.PART].values[0])[2, 2]
         yield Hidden(
             "listed places of the supports, such as exchanged columns (how far to raise each)",
-            _LISTED_WORDS,
-            _LISTED * float(np.sqrt(max(1 - upright**2, 0.0))),
+            _LIST_ERROR_WORDS,
+            _LIST_ERROR * float(np.sqrt(max(1 - upright**2, 0.0))),
             "the part measured again after the supports are raised",
         )
     if files.points is not None:
         yield Hidden(
             "listed places of `points`, such as exchanged columns (where they are predicted)",
-            _LISTED_WORDS,
-            _LISTED,
+            _LIST_ERROR_WORDS,
+            _LIST_ERROR,
             "`metrocli verify` with these points as the machine's probe measures them",
         )
 
 
-def _rows(problem: AlignmentProblem, adjusted: AdjustedImages) -> Iterator[Hidden]:
-    blocks = adjusted.solution.blocks
-    used = adjusted.group.observations.index
-    held = blocks[spindle.SPINDLE].values[np.unique(used[spindle.SPINDLE]), :3]
-    extent = float(np.linalg.norm(np.ptp(held, axis=0)))
+def _absorbed(problem: AlignmentProblem, adjusted: AdjustedImages) -> Iterator[Hidden]:
+    """Yield what the pose of the part absorbs."""
+    blocks, group = adjusted.solution.blocks, adjusted.group
+    spindle_places = blocks[spindle.SPINDLE].values[np.unique(group.observations.index[spindle.SPINDLE]), :3]
+    extent = float(np.linalg.norm(np.ptp(spindle_places, axis=0)))
     yield Hidden(
         "common scale of the machine and of the target list (places of points)",
         SCALE_WORDS,
@@ -112,18 +116,19 @@ def _rows(problem: AlignmentProblem, adjusted: AdjustedImages) -> Iterator[Hidde
     )
     yield Hidden(
         "seat of the camera along the spindle (the part along the view)",
-        "5 um",
+        _SEAT_WORDS,
         _SEAT,
         "a target of known place in the machine",
     )
     if not blocks[LENS].free.any():
-        lens, group = blocks[LENS].named(blocks[LENS].members[0]), adjusted.group
+        lens = blocks[LENS].named(blocks[LENS].members[0])
         depth = group.chain.until(Quantity.POINT_IN_CAMERA).predict(blocks, group.observations)[2]
         yield Hidden(
             "cx and cy of the camera file, taken as exact, or its image_size (the part across the view)",
             "1 px",
+            # a lens of square pixels has f, others have fx and fy
             float(np.median(depth)) / lens.get("f", lens.get("fx", np.inf)),
             "a calibration result as camera, with its covariance; the spindle turned between images",
         )
     if problem.sighted.eccentric:
-        yield from diameters(adjusted.group, blocks, problem.sighted.targets.radius)
+        yield from diameters(group, blocks, problem.sighted.targets.radius)

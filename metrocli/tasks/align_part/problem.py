@@ -95,21 +95,21 @@ def build(
     sighted = placed(sighted, images_needed(sighted.targets))
     rows, warnings, sighted = _with_poses(sighted, exposed, commanded, camera.images)
     motion = commanded.motion(rows)
-    held = commanded.moved(rows, motion.mean)
+    spindle_poses = commanded.moved(rows, motion.mean)
     targets = sighted.targets
     seen = np.bincount(sighted.target, minlength=len(targets.names)) > 0
-    pose, angle = _start(camera, sighted, exposed, held, free_angle)
+    pose, angle = _start(camera, sighted, exposed, spindle_poses, free_angle)
     extent = float(np.ptp(targets.points[seen], axis=0).max())
     free = (targets.sigma != 0) & seen[:, None]
     distance = float(
-        np.linalg.norm(held[:, :3] - (poses.apply(pose, targets.points[seen].mean(axis=0))), axis=1).mean()
+        np.linalg.norm(spindle_poses[:, :3] - (poses.apply(pose, targets.points[seen].mean(axis=0))), axis=1).mean()
     )
     made = (
         spindle.part_block(pose, extent, distance),
         spindle.coupling_block(angle, free_angle),
         *camera.blocks().values(),
         target_block(targets.points, targets.names, free, max(extent, 1.0)),
-        spindle.spindle_block(held, exposed.names),
+        spindle.spindle_block(spindle_poses, exposed.names),
         *spindle.machine_blocks(motion.spread),
     )
     blocks = {block.name: block for block in made}
@@ -160,7 +160,7 @@ def _with_poses(
 
 
 def _start(
-    camera: CameraModel, sighted: Sighted, exposed: Exposures, held: Array, free_angle: bool
+    camera: CameraModel, sighted: Sighted, exposed: Exposures, spindle_poses: Array, free_angle: bool
 ) -> tuple[Array, float]:
     """Return the starting pose of the part and the starting clamping angle: 0, or the best of twelve if 0 fails."""
     uv, of = sighted.observations.readings, exposed.camera[sighted.view]
@@ -170,7 +170,7 @@ def _start(
         seen[:, mine] = one.direction(uv[:, mine])
     seen = np.where(np.isfinite(seen[0]), seen, [[0.0], [0.0], [1.0]])
     points = sighted.targets.points[sighted.target]
-    at, in_taper = held[exposed.exposure[sighted.view]], camera.in_taper[of]
+    at, in_taper = spindle_poses[exposed.exposure[sighted.view]], camera.in_taper[of]
 
     def tried(angle: float) -> tuple[Array, float]:
         return spindle.start_pose(spindle.rays(at, in_taper, angle, seen, points))
@@ -191,7 +191,7 @@ class AlignmentTruth:
 
     part: Array
     """Pose of the part in the machine (6,)"""
-    held: Mapping[str, Array]
+    spindle_poses: Mapping[str, Array]
     """Pose of the spindle (6,) at each exposure"""
     angle: float
     """Clamping angle [rad]"""
@@ -209,7 +209,7 @@ def true_model(
         spindle.part_block(truth.part, 1.0, 1.0),
         spindle.coupling_block(truth.angle, free=False),
         target_block(shown[0].targets.points, shown[0].targets.names, False, 1.0),
-        spindle.spindle_block(np.array([truth.held[name] for name in exposed.names]), exposed.names),
+        spindle.spindle_block(np.array([truth.spindle_poses[name] for name in exposed.names]), exposed.names),
     )
     blocks = {name: block.fixed() for name, block in camera.blocks().items()}
     blocks |= {block.name: block for block in made}

@@ -141,7 +141,7 @@ def simulate(job: Job[Settings, Files], options: SimulationOptions) -> Simulatio
     commanded = SpindlePoses(poses, files.machine)
     exposures = commanded.rows(model.images)
     rows = np.array(list(exposures.values()), dtype=np.intp)
-    held = commanded.moved(rows, commanded.motion(rows).drawn(rng))
+    spindle_poses = commanded.moved(rows, commanded.motion(rows).drawn(rng))
     part = pose_from_euler(at[:3], at[3:])
     times = {name: values[rows] for name, values in poses.conditions("t", "temp").items()}
     shown = [
@@ -149,7 +149,7 @@ def simulate(job: Job[Settings, Files], options: SimulationOptions) -> Simulatio
             one.lens,
             one.size,
             tuple(one.images.replace("*", exposure) for exposure in exposures),
-            part_in_camera(part, held, truth.clamping_angle, in_taper),
+            part_in_camera(part, spindle_poses, truth.clamping_angle, in_taper),
             known,
             one.convention,
             times,
@@ -163,7 +163,10 @@ def simulate(job: Job[Settings, Files], options: SimulationOptions) -> Simulatio
     seen = sights(shown)
     seen, values = planted(
         true_model(
-            model, shown, seen, AlignmentTruth(part, dict(zip(exposures, held, strict=True)), truth.clamping_angle)
+            model,
+            shown,
+            seen,
+            AlignmentTruth(part, dict(zip(exposures, spindle_poses, strict=True)), truth.clamping_angle),
         ),
         seen,
         effects,

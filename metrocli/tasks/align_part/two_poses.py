@@ -34,9 +34,11 @@ def mirrored_pose(problem: AlignmentProblem, adjusted: AdjustedImages) -> Alignm
     if not solution.outcome.good or thick[2] > _FLAT * thick[1]:
         return None
     part, angle = solution.blocks[spindle.PART], float(solution.blocks[spindle.COUPLING].values[0, 0])
-    held = spindle.camera_in_machine(solution.blocks[spindle.SPINDLE].values, angle, solution.blocks[TAPER].values[0])
+    camera_poses = spindle.camera_in_machine(
+        solution.blocks[spindle.SPINDLE].values, angle, solution.blocks[TAPER].values[0]
+    )
     centre = points.mean(axis=0)
-    sight = (poses.apply(part.values, centre) - held[:, :3].mean(axis=0)).reshape(1, 3)
+    sight = (poses.apply(part.values, centre) - camera_poses[:, :3].mean(axis=0)).reshape(1, 3)
     mirrored = part.with_values(poses.mirrored_about(part.values, sight, centre, axes[2]))
     # mirrored about the mean line of sight only a start: the adjustment finds the second minimum, if there is one
     turned = {**solution.blocks, spindle.PART: mirrored}

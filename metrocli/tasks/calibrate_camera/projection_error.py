@@ -20,33 +20,36 @@ from metrocli.tasks.shared.statistics import Statistics
 from metrocli.units.people import two_digits
 
 _STEP = 1e-6
-_ONE_ANGLE, _BADLY = np.radians(10.0), 1e-3
-"""Boards whose normals are nearer to each other have one angle; uncertainty of a focal length from which that counts"""
-_WARNED = 0.01
+"""Relative step of central differences: near the cube root of the rounding of a double, where their error is least"""
+_ONE_ANGLE = np.radians(10.0)
+"""Normals of boards that are nearer to their mean have one angle"""
+_VAGUE_FOCAL_LENGTH = 1e-3
+"""Relative uncertainty of a focal length from which one angle of all boards is a warning"""
+_VAGUE_CORNER = 0.01
 """Uncertainty of a corner, as a share of the width of the image, from which it is a warning"""
 _GRID = (17, 13)
 """Columns and rows of places over the image"""
 _SAMPLE = 400
-"""Most readings that determine which rotation of the camera a change of the lens imitates"""
-_ALONG = np.linspace(0.01, 4.0, 400)
+"""Most readings that determine which movement of the camera a change of the lens imitates: it has six numbers"""
+_MULTIPLES = np.linspace(0.01, 4.0, 400)
 """Directions that are tried for an image point, as multiples of its direction without distortion"""
 
 
-def covered(problem: CameraProblem, solution: Solution, readings: Array) -> Statistics:
+def coverage_statistics(problem: CameraProblem, solution: Solution, readings: Array) -> Statistics:
     """Return the statistics of how much of the image the readings (2, n) cover, and how well it is known beyond.
 
     `corner_std` [px] is the largest standard uncertainty of the image of a fixed direction in a corner of the image.
     """
-    return _covered(_of_single(problem, solution, readings), problem.image_size)
+    return _statistics(_of_single(problem, solution, readings), problem.image_size)
 
 
-def covered_by_member(solution: Solution, own: CameraOfSeveral, readings: Array) -> Statistics:
-    """Return the statistics `covered` of one of several cameras; `readings` are its own."""
-    return _covered(_of_member(solution, own, readings), own.size)
+def coverage_statistics_of_member(solution: Solution, member: CameraOfSystem, readings: Array) -> Statistics:
+    """Return the statistics `coverage_statistics` of one of several cameras; `readings` are its own."""
+    return _statistics(_of_member(solution, member, readings), member.size)
 
 
-def _covered(projection: _Projection, size: tuple[int, int]) -> Statistics:
-    lens = projection.there.named(projection.there.values)
+def _statistics(projection: _Projection, size: tuple[int, int]) -> Statistics:
+    lens = projection.lens.named(projection.lens.values)
     corners = np.array([[x, y] for x in (0, size[0] - 1) for y in (0, size[1] - 1)], dtype=float).T
     return {
         **coverage(projection.readings, size, (lens["cx"], lens["cy"])),
@@ -62,7 +65,7 @@ def projection_table(problem: CameraProblem, solution: Solution, readings: Array
 
 
 @dataclass(frozen=True)
-class CameraOfSeveral:
+class CameraOfSystem:
     """One of several cameras: name and number of its member of the block of lenses, convention, size and shape."""
 
     name: str
@@ -72,33 +75,33 @@ class CameraOfSeveral:
     shape: LensShape | None = None
 
 
-def projection_of_member(solution: Solution, own: CameraOfSeveral, readings: Array, depth: float) -> Table:
+def projection_table_of_member(solution: Solution, member: CameraOfSystem, readings: Array, depth: float) -> Table:
     """Return the table `projection_table` of one of several cameras, with its name."""
-    columns = _over_image(_of_member(solution, own, readings), own.size, depth)
-    return Table.of({"camera [text]": [own.name] * (_GRID[0] * _GRID[1]), **columns})
+    columns = _over_image(_of_member(solution, member, readings), member.size, depth)
+    return Table.of({"camera [text]": [member.name] * (_GRID[0] * _GRID[1]), **columns})
 
 
-def _of_member(solution: Solution, own: CameraOfSeveral, readings: Array) -> _Projection:
+def _of_member(solution: Solution, member: CameraOfSystem, readings: Array) -> _Projection:
     """Return the projection by one of several cameras, with the shape of its lens."""
     lens = solution.blocks[camera.LENS]
-    free = np.flatnonzero(lens.free[own.number])
-    there = _Linear(own.convention, lens.columns, lens.values[own.number])
-    return _Projection(there, free, _with_shape(solution, own, free), readings, own.shape)
+    free = np.flatnonzero(lens.free[member.number])
+    derivatives = _LensDerivatives(member.convention, lens.columns, lens.values[member.number])
+    return _Projection(derivatives, free, _with_shape(solution, member, free), readings, member.shape)
 
 
-def _with_shape(solution: Solution, own: CameraOfSeveral, free: Index) -> Array:
+def _with_shape(solution: Solution, member: CameraOfSystem, free: Index) -> Array:
     """Return the covariance of the free parameters of one of several lenses and of its shape."""
-    known, size = solution.covariance_or_raise(), len(solution.blocks[camera.LENS].columns)
-    of_lens = known.members(camera.LENS)[own.number][np.ix_(free, free)]
-    if own.shape is None:
+    covariance, size = solution.covariance_or_raise(), len(solution.blocks[camera.LENS].columns)
+    of_lens = covariance.members(camera.LENS)[member.number][np.ix_(free, free)]
+    if member.shape is None:
         return np.asarray(of_lens)
-    cross = known.between(camera.LENS, own.shape.block)[own.number * size + free]
-    return np.asarray(np.block([[of_lens, cross], [cross.T, known.of(own.shape.block)]]))
+    cross = covariance.between(camera.LENS, member.shape.block)[member.number * size + free]
+    return np.asarray(np.block([[of_lens, cross], [cross.T, covariance.of(member.shape.block)]]))
 
 
 def _over_image(projection: _Projection, size: tuple[int, int], depth: float) -> dict[str, Array]:
-    along = [np.linspace(0, extent - 1, n) for extent, n in zip(size, _GRID, strict=True)]
-    uv = np.stack([part.ravel() for part in np.meshgrid(*along)])
+    axes = [np.linspace(0, extent - 1, n) for extent, n in zip(size, _GRID, strict=True)]
+    uv = np.stack([grid.ravel() for grid in np.meshgrid(*axes)])
     return {"u v [px]": uv.T, "std [px]": projection.std(uv, depth)}
 
 
@@ -106,15 +109,15 @@ def _of_single(problem: CameraProblem, solution: Solution, readings: Array) -> _
     """Return the projection by a camera that is calibrated alone, with the shape of its lens."""
     lens, link = solution.blocks[camera.LENS], link_of(problem)
     covariance = solution.joint((camera.LENS, *([SHAPE] if link is not None else [])))
-    there = _Linear(problem.convention, lens.columns, lens.values[0])
-    return _Projection(there, np.flatnonzero(lens.free[0]), covariance, readings, link)
+    derivatives = _LensDerivatives(problem.convention, lens.columns, lens.values[0])
+    return _Projection(derivatives, np.flatnonzero(lens.free[0]), covariance, readings, link)
 
 
 @dataclass(frozen=True)
 class _Projection:
     """A lens with the covariance of its free parameters, and of its shape, and the readings (2, n) that gave it."""
 
-    there: _Linear
+    lens: _LensDerivatives
     free: Index
     covariance: Array
     readings: Array
@@ -131,26 +134,26 @@ class _Projection:
         if not len(self.free):
             return np.zeros(at.shape[1])
         count = self.readings.shape[1]
-        some = self.readings[:, np.linspace(0, count - 1, min(count, _SAMPLE)).astype(int)]
-        there, near = self.there.directions(at), self.there.directions(some)
-        by_movement = self.there.by_movement(near, depth)
-        confounded = np.linalg.lstsq(by_movement, self._by_lens(some, near), rcond=None)[0]
-        change = self._by_lens(at, there) - self.there.by_movement(there, depth) @ confounded
+        sample = self.readings[:, np.linspace(0, count - 1, min(count, _SAMPLE)).astype(int)]
+        seen, directions = self.lens.directions(sample), self.lens.directions(at)
+        movement = np.linalg.lstsq(self.lens.by_movement(seen, depth), self._by_lens(sample, seen), rcond=None)[0]
+        change = self._by_lens(at, directions) - self.lens.by_movement(directions, depth) @ movement
         variance = np.einsum("ia,ab,ib->i", change, self.covariance, change)
         return np.asarray(np.sqrt(np.maximum(variance.reshape(2, -1).sum(axis=0), 0.0)))
 
     def _by_lens(self, uv: Array, directions: Array) -> Array:
-        of_lens = self.there.by_lens(uv, directions, self.free)
+        of_lens = self.lens.by_lens(uv, directions, self.free)
         return of_lens if self.link is None else np.concatenate([of_lens, by_shape(self.link, uv)], axis=1)
 
 
-class _Linear:
+class _LensDerivatives:
     """Derivatives of image points of fixed directions, u of all before v of all."""
 
     def __init__(self, convention: str, columns: tuple[str, ...], values: Array) -> None:
         self.columns, self.values, self.convention = columns, values, convention
 
     def named(self, values: Array) -> dict[str, float]:
+        """Return values of the parameters by their names."""
         return dict(zip(self.columns, values.tolist(), strict=True))
 
     def directions(self, uv: Array) -> Array:
@@ -163,18 +166,21 @@ class _Linear:
             return np.array(ideal_point(lens, uv[0], uv[1], self.convention))
         fx, fy = focal(lens)
         centre = np.array([[lens["cx"]], [lens["cy"]]])
-        away = (uv - centre) / [[fx], [fy]]
-        tried = away[:, :, None] * _ALONG
-        reached = np.array(image_point(lens, tried[0], tried[1], self.convention == "fisheye")) - centre[:, :, None]
-        radius, wanted = np.hypot(*reached), np.hypot(*(uv - centre))[:, None]
-        grows = np.cumprod(np.diff(radius, axis=1, prepend=0.0) > 0, axis=1)
-        last = np.maximum((grows * (radius < wanted)).sum(axis=1), 1) - 1
-        rows, after = np.arange(len(last)), np.minimum(last + 1, len(_ALONG) - 1)
-        step = radius[rows, after] - radius[rows, last]
-        share = np.where(step > 0, (wanted[:, 0] - radius[rows, last]) / np.where(step > 0, step, 1.0), 0.0)
-        return np.asarray(away * (_ALONG[last] + np.clip(share, -1, 1) * (_ALONG[1] - _ALONG[0])))
+        undistorted = (uv - centre) / [[fx], [fy]]
+        tried = undistorted[:, :, None] * _MULTIPLES
+        images = np.array(image_point(lens, tried[0], tried[1], self.convention == "fisheye")) - centre[:, :, None]
+        radii, radius = np.hypot(*images), np.hypot(*(uv - centre))
+        # 1 up to the fold: beyond it the radius shrinks, and further directions have the same image
+        before_fold = np.cumprod(np.diff(radii, axis=1, prepend=0.0) > 0, axis=1)
+        last = np.maximum((before_fold * (radii < radius[:, None])).sum(axis=1), 1) - 1
+        rows, after = np.arange(len(last)), np.minimum(last + 1, len(_MULTIPLES) - 1)
+        # linear between two that were tried; where the radius does not grow any more, the last one before the fold
+        step = radii[rows, after] - radii[rows, last]
+        share = np.where(step > 0, (radius - radii[rows, last]) / np.where(step > 0, step, 1.0), 0.0)
+        return np.asarray(undistorted * (_MULTIPLES[last] + np.clip(share, -1, 1) * (_MULTIPLES[1] - _MULTIPLES[0])))
 
     def image(self, values: Array, uv: Array, directions: Array) -> Array:
+        """Return the images (2 n,) of directions (2, n) by a lens of these values; `uv` are those by its own."""
         lens = self.named(values)
         if self.convention != "backward":
             return np.concatenate(image_point(lens, directions[0], directions[1], self.convention == "fisheye"))
@@ -193,7 +199,7 @@ class _Linear:
             columns.append((ahead - behind) / (2 * step[k]))
         return np.stack(columns, axis=1)
 
-    def by_movement(self, flat: Array, depth: float) -> Array:
+    def by_movement(self, directions: Array, depth: float) -> Array:
         """Return the derivatives by a rotation of the camera about x, y and z, and by a shift, by differences.
 
         For directions (2, n) they are (2 n, 6), the shift in units of the depth [mm]; (2 n, 3) at an infinite depth.
@@ -201,18 +207,18 @@ class _Linear:
         """
         axes = np.eye(3) * _STEP
         fisheye = self.convention == "fisheye"
-        seen = unit_vector(flat) if fisheye else np.stack([*flat, np.ones(len(flat[0]))])
-        moves = [np.cross(axis, seen, axisb=0, axisc=0) for axis in axes]
+        points = unit_vector(directions) if fisheye else np.stack([*directions, np.ones(len(directions[0]))])
+        moves = [np.cross(axis, points, axisb=0, axisc=0) for axis in axes]
         if np.isfinite(depth):
-            moves += [np.broadcast_to(axis[:, None], seen.shape) for axis in axes]
+            moves += [np.broadcast_to(axis[:, None], points.shape) for axis in axes]
         columns = []
         for moved in moves:
-            ahead, behind = (self._seen(seen + sign * moved) for sign in (1, -1))
+            ahead, behind = (self._image_of_points(points + sign * moved) for sign in (1, -1))
             columns.append((ahead - behind) / (2 * _STEP))
         return np.stack(columns, axis=1)
 
-    def _seen(self, points: Array) -> Array:
-        """Return the image points of points (3, n); of a backward lens without distortion, as `image` compares them."""
+    def _image_of_points(self, points: Array) -> Array:
+        """Return the image points (2 n,) of points (3, n); of a backward lens without distortion, as in `image`."""
         lens, fisheye = self.named(self.values), self.convention == "fisheye"
         ideal = equidistant(points) if fisheye else None
         x, y = (ideal.x, ideal.y) if ideal is not None else points[:2] / points[2]
@@ -232,9 +238,9 @@ def coverage_note(statistics: Statistics) -> str:
 
 
 def corner_warnings(statistics: Statistics) -> list[str]:
-    """Return that the lens is known badly in a corner of the image (beyond 5 % of the image it is a doubt)."""
+    """Return a warning if the lens is known badly in a corner; `metrocli.doubt` has the bound of a doubt."""
     corner, width = (float(statistics[name]) for name in ("corner_std", "image_width"))  # type: ignore[arg-type]
-    if corner <= _WARNED * width:
+    if corner <= _VAGUE_CORNER * width:
         return []
     return [
         f"the readings do not reach the corners of the image, where the lens is uncertain by {two_digits(corner)} px "
@@ -243,9 +249,10 @@ def corner_warnings(statistics: Statistics) -> list[str]:
 
 
 def angle_warnings(problem: CameraProblem, std: Array) -> list[str]:
-    """Return that all images show a flat board at one angle, where the focal length is known badly.
+    """Return a warning if all images show a flat board at one angle and the focal length is known badly.
 
-    The problem has lens and views of the solution; `std` are the standard uncertainties of the lens.
+    Boards of one angle exchange focal length and distance. The problem has lens and views of the solution; `std` are
+    the standard uncertainties of the lens.
     """
     lens = problem.blocks[camera.LENS]
     free = [at for at, name in enumerate(lens.columns) if name in ("f", "fx", "fy") and lens.free[0, at]]
@@ -253,14 +260,15 @@ def angle_warnings(problem: CameraProblem, std: Array) -> list[str]:
     if problem.rig != "board" or not free or not planar:
         return []
     normals = poses.rotation_of(problem.blocks[camera.VIEW].values) @ poses.rotation_of(frame)[2]
+    # a normal and its opposite are one plane
     normals = normals * np.sign(normals @ normals[0])[:, None]
-    middle = normals.mean(axis=0) / np.linalg.norm(normals.mean(axis=0))
-    apart = float(np.arccos(np.clip(normals @ middle, -1, 1)).max())
-    share = std[free] / lens.values[0, free]
-    if apart > _ONE_ANGLE or (share < _BADLY).all():
+    mean = normals.mean(axis=0) / np.linalg.norm(normals.mean(axis=0))
+    angle = float(np.arccos(np.clip(normals @ mean, -1, 1)).max())
+    relative_std = std[free] / lens.values[0, free]
+    if angle > _ONE_ANGLE or (relative_std < _VAGUE_FOCAL_LENGTH).all():
         return []
     return [
-        f"all images show the board at one angle, within {two_digits(float(np.degrees(apart)))} degrees, and the focal "
-        f"length is known to {two_digits(100 * float(share.max()))} % only: tilt the board by 20 to 45 degrees about "
-        "both axes of the image"
+        f"all images show the board at one angle, within {two_digits(float(np.degrees(angle)))} degrees, and the focal "
+        f"length is known to {two_digits(100 * float(relative_std.max()))} % only: tilt the board by 20 to 45 degrees "
+        "about both axes of the image"
     ]

@@ -34,7 +34,7 @@ from metrocli.tasks.calibrate_camera.projection_error import (
     angle_warnings,
     corner_warnings,
     coverage_note,
-    covered,
+    coverage_statistics,
     projection_table,
 )
 from metrocli.tasks.calibrate_camera.readings import longer_than_listed, units_doubted
@@ -175,7 +175,7 @@ def _statistics(solved: _Calibration) -> Statistics:
         "rejected": len(adjusted.rejected),
         "images": len(problem.sighted.images),
         "targets": len(np.unique(observations.index[camera.TARGET])),
-        **covered(problem, solution, observations.readings),
+        **coverage_statistics(problem, solution, observations.readings),
         "shape_rms": shape_rms(problem, solution),
         "sigma0_low": low,
         "sigma0_high": high,

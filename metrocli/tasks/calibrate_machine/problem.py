@@ -16,7 +16,7 @@ from metrocli.effects.acting import NOMINAL
 from metrocli.effects.correlated import with_all
 from metrocli.effects.model import Model, Place
 from metrocli.effects.modelled import Modelled
-from metrocli.effects.wanted import Wanted
+from metrocli.effects.requested import RequestedEffect
 from metrocli.errors import InputError
 from metrocli.frozen import dataclass
 from metrocli.instruments.axes.error_motion import POSITIONS, Undisturbed
@@ -99,16 +99,16 @@ class MachineProblem(Modelled):
         model = self.model.with_group(self.readings.selected(keep))
         return replace(self, model=model, per_reading=self.per_reading[keep])
 
-    def with_effects(self, wanted: Iterable[Wanted]) -> Self:
+    def with_effects(self, requests: Iterable[RequestedEffect]) -> Self:
         """Return the problem extended by the effects of a job.
 
         Blocks of effects that exist already keep their values, so that a relinearised problem continues from them.
         """
-        wanted = tuple(wanted)
-        if not wanted:
+        requests = tuple(requests)
+        if not requests:
             return self
         bare = {name: block for name, block in self.blocks.items() if name in BLOCKS}
-        model = with_all(self.model.with_blocks(bare), wanted)
+        model = with_all(self.model.with_blocks(bare), requests)
         return self.with_model(
             model.with_blocks({name: self.blocks.get(name, model.blocks[name]) for name in model.blocks})
         )

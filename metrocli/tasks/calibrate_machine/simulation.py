@@ -10,7 +10,7 @@ from metrocli.arrays import Array, Index, Values
 from metrocli.effects.estimates import true_values
 from metrocli.effects.extension import extended
 from metrocli.effects.model import Model
-from metrocli.effects.wanted import Wanted
+from metrocli.effects.requested import RequestedEffect
 from metrocli.errors import InputError
 from metrocli.frozen import dataclass
 from metrocli.geometry import poses
@@ -89,7 +89,7 @@ class _Measurement:
     settings: Settings
     simulation: MachineSimulation
     files: Files
-    effects: tuple[Wanted, ...]
+    effects: tuple[RequestedEffect, ...]
 
     def read(self, model: Model) -> tuple[Array, Model]:
         """Return the readings of a model extended by the effects, without noise, and the extended model."""

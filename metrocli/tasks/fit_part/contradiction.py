@@ -47,16 +47,16 @@ def feasible(least: float, minimum: float) -> bool:
     return least >= minimum - _TOLERANCE
 
 
-def contradictions(stock: Stock, minimum: float, into: Array) -> list[Contradiction]:
+def contradictions(stock: Stock, minimum: float, to_part: Array) -> list[Contradiction]:
     """Return sets of contradicting surfaces that share none, until the other surfaces have the minimum together.
 
     The first one holds the largest least overstock of all, and has what the part leaves without its surfaces. There are
-    at most `_SETS`. `into` has the largest least overstock.
+    at most `_SETS`. `to_part` has the largest least overstock.
     """
-    stock, rows, begun, duals = _contradicting(stock, minimum, into)
-    first = contradiction(stock, duals, minimum, into, begun)
+    stock, rows, begun, duals = _contradicting(stock, minimum, to_part)
+    first = contradiction(stock, duals, minimum, to_part, begun)
     left_out = (stock.surface != stock.nominal.names.index(name) for name in first.surfaces)
-    without = tuple(_least(stock, others, into, begun)[0] for others in left_out)
+    without = tuple(_least(stock, others, to_part, begun)[0] for others in left_out)
     sets = [replace(first, points=tuple(rows[list(first.points)].tolist()), without=without)]
     while len(sets) < _SETS:
         named = {name for one in sets for name in one.surfaces}
@@ -64,17 +64,17 @@ def contradictions(stock: Stock, minimum: float, into: Array) -> list[Contradict
         if not others.any():
             break
         stock, begun, rows = stock.of(others), begun.of(others), rows[others]
-        _, least, duals = most_of_many(stock, into, begun=begun)
+        _, least, duals = most_of_many(stock, to_part, begun=begun)
         if feasible(least, minimum):
             break
-        further = contradiction(stock, duals, minimum, into, begun)
+        further = contradiction(stock, duals, minimum, to_part, begun)
         if feasible(further.least, minimum):
             break
         sets.append(replace(further, points=tuple(rows[list(further.points)].tolist())))
     return sets
 
 
-def _contradicting(stock: Stock, minimum: float, into: Array) -> tuple[Stock, Index, LinearStock, Array]:
+def _contradicting(stock: Stock, minimum: float, to_part: Array) -> tuple[Stock, Index, LinearStock, Array]:
     """Return points that cannot all have the minimum, with their rows, their overstock at the pose, and their duals.
 
     On a mesh a point counts for its own patch alone: in a notch, a wall that is left out would still hold points of the
@@ -85,18 +85,18 @@ def _contradicting(stock: Stock, minimum: float, into: Array) -> tuple[Stock, In
     every = np.arange(len(stock.measured))
     tried, patches = [(stock, every)], stock.nominal.apart()
     if patches is not None:
-        alone, at_level = on_own_patches(stock, patches, into)
+        alone, at_level = on_own_patches(stock, patches, to_part)
         tried = [(alone, every[at_level]), (alone, every), *tried]
     for part, rows in tried:
         some = part.of(rows)
-        begun = some.at(into)
-        _, least, duals = most_of_many(some, into, begun=begun)
+        begun = some.at(to_part)
+        _, least, duals = most_of_many(some, to_part, begun=begun)
         if not feasible(least, minimum):
             break
     return some, rows, begun, duals
 
 
-def contradiction(stock: Stock, duals: Array, minimum: float, into: Array, begun: LinearStock) -> Contradiction:
+def contradiction(stock: Stock, duals: Array, minimum: float, to_part: Array, begun: LinearStock) -> Contradiction:
     """Return the smallest set of contradicting surfaces; without any one of them the others have the minimum.
 
     The surfaces that hold the largest least overstock contradict each other. Each is left out in turn, and stays out if
@@ -106,7 +106,7 @@ def contradiction(stock: Stock, duals: Array, minimum: float, into: Array, begun
 
     def together(surfaces: Sequence[int]) -> bool:
         enough = minimum - _TOLERANCE
-        return _least(stock, np.isin(stock.surface, surfaces), into, begun, enough)[0] >= enough
+        return _least(stock, np.isin(stock.surface, surfaces), to_part, begun, enough)[0] >= enough
 
     holding = np.unique(stock.surface[duals > 0]).tolist()
     chosen = holding
@@ -120,18 +120,18 @@ def contradiction(stock: Stock, duals: Array, minimum: float, into: Array, begun
     # the search is local, and may get round on a mesh where it goes on beyond the minimum
     for surfaces in (chosen, holding):
         rows = np.isin(stock.surface, surfaces)
-        least, held = _least(stock, rows, into, begun)
+        least, held = _least(stock, rows, to_part, begun)
         if not feasible(least, minimum):
             break
     points = tuple(np.flatnonzero(rows)[held > 0].tolist())
     return Contradiction(tuple(stock.nominal.names[surface] for surface in surfaces), least, points)
 
 
-def _least(stock: Stock, rows: Mask, into: Array, begun: LinearStock, enough: float = np.inf) -> tuple[float, Array]:
+def _least(stock: Stock, rows: Mask, to_part: Array, begun: LinearStock, enough: float = np.inf) -> tuple[float, Array]:
     """Return the largest least overstock of some points and their duals, nan without points."""
     if not rows.any():
         return np.nan, np.zeros(0)
-    return most_of_many(stock.of(rows), into, enough, begun.of(rows))[1:]
+    return most_of_many(stock.of(rows), to_part, enough, begun.of(rows))[1:]
 
 
 def refuse(
@@ -200,12 +200,12 @@ def all_inside(level: Array, of_mesh: bool) -> str:
     )
 
 
-def must_be_determined(stock: Stock, into: Array, aim: str) -> tuple[str, ...]:
+def must_be_determined(stock: Stock, to_part: Array, aim: str) -> tuple[str, ...]:
     """Raise UndeterminedError if the points leave a motion of the part open that its aim does not decide.
 
     For least-motion an open motion is no fault: the part stays there as it was. Returns sentences about that.
     """
-    local = stock.at(into)
+    local = stock.at(to_part)
     smooth = stock.smooth_rows(local)
     motions = [motion_in_words(local, motion) for motion in _null_space(smooth, local.rows)]
     if motions and aim == LEAST_MOTION:
@@ -234,9 +234,9 @@ def motions_without(stock: Stock, local: LinearStock, chosen: Mask) -> list[str]
     return [motion_in_words(local, motion) for motion in _null_space(smooth, rows)]
 
 
-def open_motions(stock: Stock, into: Array) -> list[Array]:
+def open_motions(stock: Stock, to_part: Array) -> list[Array]:
     """Return the steps of the pose that change no overstock, each (6,)."""
-    local = stock.at(into)
+    local = stock.at(to_part)
     return _null_space(stock.smooth_rows(local), local.rows)
 
 

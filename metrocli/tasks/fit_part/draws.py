@@ -41,7 +41,7 @@ def sensitivity_with_exchanges(fit: PoseFit, aim: PoseCriterion, start: Array, p
     `start` (6,) is the pose into the part frame before the fit.
     """
     nearby = sensitivity(fit, aim, start, places)
-    rows, outward = fit.local.rows, fit.local.shape.normal @ poses.rotation_of(fit.into)
+    rows, outward = fit.local.rows, fit.local.shape.normal @ poses.rotation_of(fit.to_part)
     by_pose = np.einsum("ni,ij,nj->n", rows, nearby.covariance, rows)
     spread = np.sqrt(np.maximum(by_pose, 0.0) + _along(outward, places) ** 2)
     near = (fit.local.overstock - aim.minimum < _NEAR * spread) | (fit.duals > 0)
@@ -61,7 +61,7 @@ def sensitivity_of_draws(fit: PoseFit, aim: PoseCriterion, start: Array, places:
     NotConvergedError.
     """
     local, n = fit.local, len(fit.local.points)
-    outward, rows = local.shape.normal @ poses.rotation_of(fit.into), local.rows
+    outward, rows = local.shape.normal @ poses.rotation_of(fit.to_part), local.rows
     programme = _programme(fit, aim, start, outward)
     by_error = programme.by_point.transpose(1, 0, 2).reshape(6, 3 * n)
     # a longer turn bends the overstock by more than the errors

@@ -83,7 +83,7 @@ class PoseCriterion:
 class PoseFit:
     """A fitted pose and the proof that it is optimal."""
 
-    into: Array
+    to_part: Array
     """Pose that brings the measured points into the part frame (6,)"""
     local: LinearStock
     duals: Array
@@ -96,7 +96,7 @@ class PoseFit:
 
 
 def most(
-    stock: Stock, into: Array, enough: float = np.inf, limit: float | None = None, reach: float | None = None
+    stock: Stock, to_part: Array, enough: float = np.inf, limit: float | None = None, reach: float | None = None
 ) -> tuple[Array, float, Array]:
     """Return the pose with the largest least overstock, that overstock, and the duals of the points (n,).
 
@@ -104,7 +104,7 @@ def most(
     as soon as the least overstock is `enough`. Beyond `limit`, twice the size of the point cloud unless given, there is
     none, and it is inf. The first reach is a fifth of that size unless given.
     """
-    local = stock.at(into)
+    local = stock.at(to_part)
     least = float(local.overstock.min())
     reach = local.lever / 5 if reach is None else reach
     duals = np.zeros(len(stock.measured))
@@ -113,21 +113,21 @@ def most(
         if least >= enough:
             break
         if least > limit:
-            return into, np.inf, duals
+            return to_part, np.inf, duals
         raised, expected = highest(local.rows, local.overstock, reach)
         # kept even if the step is not taken: they are those of the pose that is returned
         hoped, duals = expected - least, raised.duals
         step = _shortest(local, least + _OF_GAIN * hoped, raised.x)
-        tried = local.moved(into, step)
+        tried = local.moved(to_part, step)
         other = stock.at(tried)
         gain = float(other.overstock.min()) - least
         # the reach of a trust region: a step is taken from a tenth of what it
         # promised, and the reach follows its success
         if gain > 0.1 * hoped:
-            into, local, least = tried, other, least + gain
+            to_part, local, least = tried, other, least + gain
             reach = reach * 2 if gain > 0.9 * hoped and np.abs(step).max() > 0.99 * reach else reach
         reach = reach if gain > 0.5 * hoped and hoped > _STEP else reach / 4
-    return into, least, duals
+    return to_part, least, duals
 
 
 def _shortest(local: LinearStock, least: float, other: Array) -> Array:
@@ -140,7 +140,7 @@ def _shortest(local: LinearStock, least: float, other: Array) -> Array:
 
 
 def most_of_many(
-    stock: Stock, into: Array, enough: float = np.inf, begun: LinearStock | None = None
+    stock: Stock, to_part: Array, enough: float = np.inf, begun: LinearStock | None = None
 ) -> tuple[Array, float, Array]:
     """Return what `most` returns, from the lowest points alone, and those that are lower at their optimum.
 
@@ -151,10 +151,10 @@ def most_of_many(
     far from a mesh the nearest triangles are many.
     """
     reach = None if begun is None else max(2 * float(np.ptp(begun.overstock)), _FIRST_REACH)
-    begun = stock.at(into) if begun is None else begun
+    begun = stock.at(to_part) if begun is None else begun
     places, overstock = begun.points.copy(), begun.overstock.copy()
     limit = UNBOUNDED * begun.lever
-    best, lowest, chosen = into, smallest(overstock, _LOWEST), np.zeros(len(overstock), dtype=bool)
+    best, lowest, chosen = to_part, smallest(overstock, _LOWEST), np.zeros(len(overstock), dtype=bool)
     for _ in range(_ITERATIONS):
         chosen[lowest] = True
         rows = np.flatnonzero(chosen)
@@ -171,7 +171,7 @@ def most_of_many(
             ended = overstock[doubtful].min(initial=np.inf) >= least - _STEP
         else:
             ahead = begun.overstock + np.einsum("nk,nk->n", begun.shape.normal, placed - begun.points)
-            lowest, best = smallest(ahead, _LOWEST), into
+            lowest, best = smallest(ahead, _LOWEST), to_part
             ended = bool(chosen[lowest].all())
         if ended:
             duals = np.zeros(len(overstock))
@@ -180,17 +180,17 @@ def most_of_many(
     raise NotConvergedError("the search for the largest least overstock does not end")
 
 
-def fit(stock: Stock, aim: PoseCriterion, into: Array) -> PoseFit:
+def fit(stock: Stock, aim: PoseCriterion, to_part: Array) -> PoseFit:
     """Return the best pose that leaves the minimum everywhere, from a pose that does so or nearly does.
 
     Sequential quadratic programmes with the second derivative of the Lagrangian. Each step is brought back to the
     minimum, which surfaces that bend away from it miss, and halved until the aim is better met. Raises
     NotConvergedError.
     """
-    begun = _brought_back(stock, aim.minimum, into, np.eye(6))
+    begun = _brought_back(stock, aim.minimum, to_part, np.eye(6))
     if begun is None:
         raise NotConvergedError("no small step leaves the minimum overstock everywhere")
-    into, local = begun
+    to_part, local = begun
     duals, objective = np.zeros(len(stock.measured)), aim.objective(local)
     for iteration in range(_ITERATIONS):
         hessian, _ = convex(objective, local, duals)
@@ -201,36 +201,36 @@ def fit(stock: Stock, aim: PoseCriterion, into: Array) -> PoseFit:
             raise NotConvergedError("no small step leaves the minimum overstock everywhere")
         step, duals = solved.x, solved.duals
         while np.abs(step).max() > _STEP:
-            reached = _brought_back(stock, aim.minimum, local.moved(into, step), hessian)
+            reached = _brought_back(stock, aim.minimum, local.moved(to_part, step), hessian)
             if reached is not None:
                 other = aim.objective(reached[1])
                 if other.value <= objective.value + _ROUNDING * (1 + objective.value):
                     break
             step = step / 2
         else:
-            return _finished(local, into, objective, duals, iteration)
-        (into, local), objective = reached, other
+            return _finished(local, to_part, objective, duals, iteration)
+        (to_part, local), objective = reached, other
     raise NotConvergedError(
         f"the fit of the ideal part did not converge in {_ITERATIONS} iterations; points beyond edges and corners of a "
         "mesh can cause it: name coded targets in `targets`"
     )
 
 
-def _brought_back(stock: Stock, minimum: float, into: Array, metric: Array) -> tuple[Array, LinearStock] | None:
+def _brought_back(stock: Stock, minimum: float, to_part: Array, metric: Array) -> tuple[Array, LinearStock] | None:
     """Return the pose that leaves the minimum, by steps as small as they can be, and the overstock there.
 
     None where what is missed does not shrink by half in each step.
     """
     missed = np.inf
     while True:
-        local = stock.at(into)
+        local = stock.at(to_part)
         short = minimum - local.overstock
         if short.max() < _MET:
-            return into, local
+            return to_part, local
         step = quadratic(metric, np.zeros(6), local.rows, short) if short.max() < missed / 2 else None
         if step is None:
             return None
-        missed, into = float(short.max()), local.moved(into, step.x)
+        missed, to_part = float(short.max()), local.moved(to_part, step.x)
 
 
 def convex(objective: Objective, local: LinearStock, duals: Array) -> tuple[Array, float]:
@@ -250,11 +250,11 @@ def convex(objective: Objective, local: LinearStock, duals: Array) -> tuple[Arra
     return objective.safe + _WELL * np.trace(objective.safe) * np.eye(6), 0.0
 
 
-def _finished(local: LinearStock, into: Array, objective: Objective, duals: Array, iterations: int) -> PoseFit:
+def _finished(local: LinearStock, to_part: Array, objective: Objective, duals: Array, iterations: int) -> PoseFit:
     held = local.rows.T @ duals
     size = max(float(np.sqrt(2 * objective.value)), 1e-9)
     return PoseFit(
-        into,
+        to_part,
         local,
         duals,
         objective.hessian - local.curvature(duals),
@@ -263,7 +263,7 @@ def _finished(local: LinearStock, into: Array, objective: Objective, duals: Arra
     )
 
 
-def aimed(stock: Stock, name: str, minimum: float, into: Array, start: Array) -> PoseCriterion:
+def aimed(stock: Stock, name: str, minimum: float, to_part: Array, start: Array) -> PoseCriterion:
     """Return the aim of a job; `most` is even with the largest least overstock, which `minimum` then is."""
     if name == LEAST_MOTION:
         return PoseCriterion(name, minimum, poses.apply(start, stock.measured))

@@ -16,20 +16,25 @@ from metrocli.frozen import dataclass
 from metrocli.tasks.fit_part.stock import Nominal, Stock
 
 SAMPLE = 3000
-"""Points with which the fit of many more begins"""
-LIMIT = 6.0
-"""Distance from the level, in standard deviations of the scatter, beyond which a point is left out"""
+"""Points with which the fit of more than twice as many begins: they give a pose near its own"""
+OUTLIER_LIMIT = 6.0
+"""Distance from the level, in standard deviations of the scatter, beyond which a point is left out
+
+Beyond 3 there are some of many good points; beyond 6 hardly one, also where the scatter of a few is taken too small.
+"""
 _ROUNDS = 15
-_STEP = 1e-3
+"""Most rounds of assigned surfaces and a robust step"""
+_SMALLEST_STEP = 1e-3
 """Step [mm] at which the robust fit ends"""
-_WEIGHTED = 12
-_SIGMA = 1.4826
+_REWEIGHTINGS = 12
+"""Solutions with new weights in a robust step"""
+_SIGMA_PER_MAD = 1.4826
 """Standard deviation over median absolute deviation of normal scatter"""
-_FEW = 8
-"""Points of a surface from which its own scatter is taken, if it is larger than that of all"""
+_LEAST_POINTS = 8
+"""Points that a surface needs for a scatter of its own: the median of fewer may be that of the chips"""
 
 
-class Assigning(Nominal, Protocol):
+class NominalWithSurfaces(Nominal, Protocol):
     """An ideal geometry that finds the surface of points."""
 
     def nearest(self, points: Array, levels: Array | float = 0.0) -> Index:
@@ -40,13 +45,13 @@ class Assigning(Nominal, Protocol):
 class Levels:
     """Robust levels of the overstock, and which points lie off them."""
 
-    into: Array
+    to_part: Array
     """Pose into the part frame (6,)"""
     stock: Stock
     """With the surface of each point"""
     level: Array
     """Overstock of each surface (S,), nan without points"""
-    off: Array
+    deviation: Array
     """Distance of each point from the level of its surface (n,) [mm]"""
     scatter: Array
     """Standard deviation with which it is compared (n,) [mm]"""
@@ -54,47 +59,52 @@ class Levels:
     @property
     def outlying(self) -> Mask:
         """Which points are left out (n,)."""
-        return np.asarray(np.abs(self.off) > LIMIT * self.scatter)
+        return np.asarray(np.abs(self.deviation) > OUTLIER_LIMIT * self.scatter)
 
 
-def levels(nominal: Assigning, measured: Array, surface: Index | None, into: Array, sigma: Array) -> Levels:
+def robust_levels(
+    nominal: NominalWithSurfaces, measured: Array, surface: Index | None, to_part: Array, sigma: Array
+) -> Levels:
     """Return robust levels from a rough pose; without `surface` each point is assigned to the nearest one.
 
     sigma (n,) [mm] is the standard deviation of the measurement, the least scatter of a point.
     """
     count = len(nominal.names)
     if len(measured) > 2 * SAMPLE:
-        some = np.random.default_rng(1).choice(len(measured), SAMPLE, replace=False)
-        sample = levels(nominal, measured[some], None if surface is None else surface[some], into, sigma[some])
+        rows = np.random.default_rng(1).choice(len(measured), SAMPLE, replace=False)
+        sample = robust_levels(
+            nominal, measured[rows], None if surface is None else surface[rows], to_part, sigma[rows]
+        )
         # the pose of a sample needs one round with all points
-        into, level, rounds = sample.into, sample.level, 1
+        to_part, level, rounds = sample.to_part, sample.level, 1
     else:
         level, rounds = np.zeros(count), _ROUNDS
     stock = Stock(nominal, measured, np.zeros(len(measured), dtype=np.intp) if surface is None else surface)
     for _ in range(rounds):
         if surface is None:
-            stock = Stock(nominal, measured, nominal.nearest(stock.at(into).points, np.nan_to_num(level)))
-        local = stock.at(into)
+            stock = Stock(nominal, measured, nominal.nearest(stock.at(to_part).points, np.nan_to_num(level)))
+        local = stock.at(to_part)
         level = medians(local.overstock, stock.surface, count)
         # one level for all surfaces makes them even; levels of their own leave shifts between opposite surfaces open
         step, _ = robust_step(local.rows, local.overstock, np.zeros_like(stock.surface), 1)
-        if np.abs(step).max() < _STEP:
+        if np.abs(step).max() < _SMALLEST_STEP:
             break
-        into = local.moved(into, step)
-    _, off = robust_step(local.rows, local.overstock, stock.surface, count)
-    scatter = scatter_of(off, stock.surface, count, sigma)
-    return Levels(into, stock, level, off, scatter)
+        to_part = local.moved(to_part, step)
+    # without chips and flash the surfaces need not be even: here each has its own level
+    _, deviation = robust_step(local.rows, local.overstock, stock.surface, count)
+    scatter = scatter_of(deviation, stock.surface, count, sigma)
+    return Levels(to_part, stock, level, deviation, scatter)
 
 
 def robust_step(rows: Array, overstock: Array, surface: Index, count: int) -> tuple[Array, Array]:
-    """Return the step that makes each surface's overstock even, and what is left about the levels (n,).
+    """Return the step that makes each surface's overstock even, and the residuals about the levels (n,).
 
     Weights of Geman and McClure, 1/(1 + (r/3s)^2)^2. The levels are eliminated; of steps that change nothing but the
     levels, the shortest is taken.
     """
     weights = np.ones(len(rows))
-    step, rest = np.zeros(6), overstock
-    for _ in range(_WEIGHTED):
+    step, residuals = np.zeros(6), overstock
+    for _ in range(_REWEIGHTINGS):
         total = np.maximum(np.bincount(surface, weights, count), 1e-300)
 
         def centred(values: Array, weights: Array = weights, total: Array = total) -> Array:
@@ -104,11 +114,12 @@ def robust_step(rows: Array, overstock: Array, surface: Index, count: int) -> tu
         goal = centred(overstock)
         normals = (design * weights[:, None]).T @ design
         step = -np.linalg.pinv(normals, rcond=1e-10, hermitian=True) @ ((design * weights[:, None]).T @ goal)
-        rest = goal + design @ step
-        # of points that lie exactly on a plane, 0: weights would be 0 / 0
-        scale = max(_SIGMA * float(np.median(np.abs(rest))), 1e-9)
-        weights = 1 / (1 + (rest / (3 * scale)) ** 2) ** 2
-    return step, rest
+        residuals = goal + design @ step
+        # points that lie exactly on a plane have a scale of 0, and weights of 0 / 0
+        scale = max(_SIGMA_PER_MAD * float(np.median(np.abs(residuals))), 1e-9)
+        # the influence of a residual is largest at 1.7 s and falls beyond: chips pull the pose no further
+        weights = 1 / (1 + (residuals / (3 * scale)) ** 2) ** 2
+    return step, residuals
 
 
 def medians(values: Array, surface: Index, count: int) -> Array:
@@ -122,10 +133,13 @@ def medians(values: Array, surface: Index, count: int) -> Array:
     return np.asarray(np.where(sizes > 0, (sorted_values[low] + sorted_values[high]) / 2, np.nan))
 
 
-def scatter_of(off: Array, surface: Index, count: int, sigma: Array) -> Array:
+def scatter_of(deviation: Array, surface: Index, count: int, sigma: Array) -> Array:
     """Return the scatter of each point: of its surface or of all points, whichever is larger, or of the measurement."""
-    size = np.abs(off)
-    whole = _SIGMA * float(np.median(size))
-    own = np.where(np.bincount(surface, minlength=count) >= _FEW, _SIGMA * medians(size, surface, count), 0.0)
+    size = np.abs(deviation)
+    of_all = _SIGMA_PER_MAD * float(np.median(size))
+    of_surface = np.where(
+        np.bincount(surface, minlength=count) >= _LEAST_POINTS, _SIGMA_PER_MAD * medians(size, surface, count), 0.0
+    )
+    # a nanometre: rounding of exact points is no outlier
     least = np.maximum(sigma, 1e-6)
-    return np.asarray(np.maximum(np.maximum(np.nan_to_num(own)[surface], whole), least))
+    return np.asarray(np.maximum(np.maximum(np.nan_to_num(of_surface)[surface], of_all), least))

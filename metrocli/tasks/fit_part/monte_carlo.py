@@ -41,17 +41,17 @@ def checked(solved: FittedPart, minimum: float, trials: int, seed: int) -> Check
     rows = []
     for _ in range(trials):
         stock = replace(solved.stock, measured=solved.stock.measured + draw(rng))
-        highest = (solved.fit.into, np.inf, solved.fit.duals)
+        highest = (solved.fit.to_part, np.inf, solved.fit.duals)
         if solved.aim.name == MOST:
-            highest = most_of_many(stock, solved.fit.into)
+            highest = most_of_many(stock, solved.fit.to_part)
             if not feasible(highest[1], minimum):
                 continue
         try:
             _, fitted = fitted_part(stock, solved.aim.name, minimum, highest, solved.prepared.start)
         except NotConvergedError:
             continue
-        rows.append(poses.difference(poses.inverse(fitted.into), poses.inverse(solved.fit.into)))
-    by_angle = poses.euler_form_by_step(poses.inverse(solved.fit.into))
+        rows.append(poses.difference(poses.inverse(fitted.to_part), poses.inverse(solved.fit.to_part)))
+    by_angle = poses.euler_form_by_step(poses.inverse(solved.fit.to_part))
     steps = np.array(rows).reshape(-1, 6) @ by_angle.T
     change = pose_by_step(solved.fit)
     computed = np.sqrt(np.diag(change @ solved.sensitivity.covariance @ change.T))

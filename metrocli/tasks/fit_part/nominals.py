@@ -12,7 +12,7 @@ from metrocli.frozen import dataclass
 from metrocli.geometry.nearest_triangles import Nearest, Search
 from metrocli.geometry.surfaces import Shape, Surfaces
 from metrocli.geometry.triangles import Triangles
-from metrocli.tasks.fit_part.levels import LIMIT, medians, robust_step, scatter_of
+from metrocli.tasks.fit_part.levels import OUTLIER_LIMIT, medians, robust_step, scatter_of
 from metrocli.tasks.fit_part.stock import Apart, Stock
 
 _ROUNDS = 20
@@ -24,7 +24,7 @@ _EACH = 500
 """Points of each patch from which the levels are found, at most"""
 
 
-def on_own_patches(stock: Stock, patches: Apart, into: Array) -> tuple[Stock, Mask]:
+def on_own_patches(stock: Stock, patches: Apart, to_part: Array) -> tuple[Stock, Mask]:
     """Return points on patches that are alone, each on the one nearby whose level it has, and which have one (n,).
 
     The levels are medians after a robust step of the pose (6,) in which each patch has its own. With some points of
@@ -34,17 +34,19 @@ def on_own_patches(stock: Stock, patches: Apart, into: Array) -> tuple[Stock, Ma
     some = alone.of(_some_of_each(alone.surface))
     for _ in range(_ROUNDS):
         for _ in range(_LEVELLED):
-            local = some.at(into)
+            local = some.at(to_part)
             step, _ = robust_step(local.rows, local.overstock, some.surface, count)
-            into = local.moved(into, step)
-        level = medians(some.at(into).overstock, some.surface, count)
-        surface = _of_nearest_level(some, patches, into, level)
+            to_part = local.moved(to_part, step)
+        level = medians(some.at(to_part).overstock, some.surface, count)
+        surface = _of_nearest_level(some, patches, to_part, level)
         if np.array_equal(surface, some.surface):
             break
         some = replace(some, surface=surface)
-    patched = replace(alone, surface=_of_nearest_level(alone, patches, into, level))
-    off = patched.at(into).overstock - level[patched.surface]
-    return patched, np.abs(off) <= LIMIT * scatter_of(off, patched.surface, count, np.zeros(len(off)))
+    patched = replace(alone, surface=_of_nearest_level(alone, patches, to_part, level))
+    deviation = patched.at(to_part).overstock - level[patched.surface]
+    return patched, np.abs(deviation) <= OUTLIER_LIMIT * scatter_of(
+        deviation, patched.surface, count, np.zeros(len(deviation))
+    )
 
 
 def _some_of_each(surface: Index) -> Index:
@@ -56,15 +58,15 @@ def _some_of_each(surface: Index) -> Index:
     return np.sort(order[place < _EACH])
 
 
-def _of_nearest_level(stock: Stock, patches: Apart, into: Array, level: Array) -> Index:
+def _of_nearest_level(stock: Stock, patches: Apart, to_part: Array, level: Array) -> Index:
     """Return the patch of each point (n,) from whose level (S,) it is least far; nan is that of one without points."""
-    local = stock.at(into)
+    local = stock.at(to_part)
     row, patch = patches.beside(local.points, stock.surface, _BESIDE * float(np.abs(local.overstock).max()))
     beside = patches.shape(local.points[row], patch).distance
     # its own patch first: a stable order keeps a point there where another patch is as near
     row, patch = np.append(np.arange(len(local.points)), row), np.append(stock.surface, patch)
-    off = np.abs(np.append(local.overstock, beside) - level[patch])
-    order = np.lexsort((off, row))
+    deviation = np.abs(np.append(local.overstock, beside) - level[patch])
+    order = np.lexsort((deviation, row))
     _, first = np.unique(row[order], return_index=True)
     return np.asarray(patch[order[first]])
 

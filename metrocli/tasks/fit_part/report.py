@@ -27,7 +27,7 @@ def report(solved: FittedPart, check: Check | None = None) -> Result:
     fit, names = solved.fit, solved.prepared.readings.surface_points.names
     change = pose_by_step(fit)
     covariance = change @ solved.sensitivity.covariance @ change.T
-    values = poses.euler_form(poses.inverse(fit.into)) + 0.0  # a part that stays has 0, not -0
+    values = poses.euler_form(poses.inverse(fit.to_part)) + 0.0  # a part that stays has 0, not -0
     std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     overstock = _overstock(solved)
     surfaces = _surfaces(solved, overstock, _std_of_means(solved))
@@ -54,7 +54,7 @@ def report(solved: FittedPart, check: Check | None = None) -> Result:
         covariance=(covariance + covariance.T) / 2,
         statistics={**_statistics(solved), **({} if check is None else check.statistics)},
         tables=tables,
-        arrays={**arrays, "rotation": poses.rotation_of(poses.inverse(fit.into))},
+        arrays={**arrays, "rotation": poses.rotation_of(poses.inverse(fit.to_part))},
         warnings=(*solved.warnings, *warnings(solved, surfaces, tables["rejected"])),
         shown=tuple(shown),
         notes=(*notes(solved, holding), *(check.notes if check is not None else ()), *in_words(hidden)),
@@ -104,8 +104,8 @@ def below(overstock: Array, std: Array, minimum: float) -> Array:
 def _overstock(solved: FittedPart) -> Table:
     """Return /overstock: every surface point, with the uncertainty that its own measurement brings."""
     places, stock = solved.prepared.readings.surface_points, solved.levels.stock
-    local = stock.at(solved.fit.into)
-    outward = local.shape.normal @ poses.rotation_of(solved.fit.into)
+    local = stock.at(solved.fit.to_part)
+    outward = local.shape.normal @ poses.rotation_of(solved.fit.to_part)
     std = np.sqrt(np.einsum("na,nab,nb->n", outward, places.covariance, outward))
     return Table.of(
         {
@@ -126,7 +126,7 @@ def _std_of_means(solved: FittedPart) -> Array:
     Errors that points share, of scale say, do not average out.
     """
     places = solved.prepared.readings.surface_points.places
-    outward = solved.levels.stock.at(solved.fit.into).shape.normal @ poses.rotation_of(solved.fit.into)
+    outward = solved.levels.stock.at(solved.fit.to_part).shape.normal @ poses.rotation_of(solved.fit.to_part)
     used, (present, of_point) = solved.used, np.unique(solved.levels.stock.surface[solved.used], return_inverse=True)
     counts = np.bincount(of_point)
     own = np.einsum("na,nab,nb->n", outward, places.own, outward)[used]
@@ -178,15 +178,15 @@ def _holding(solved: FittedPart) -> Table:
 
 def _rejected(solved: FittedPart, names: tuple[str, ...]) -> Table:
     rows = np.flatnonzero(~solved.used)
-    stock, off = solved.levels.stock, solved.levels.off
-    value = stock.at(solved.fit.into).overstock
+    stock, deviation = solved.levels.stock, solved.levels.deviation
+    value = stock.at(solved.fit.to_part).overstock
     return Table(
         {
             "point": np.array(names, dtype=str)[rows],
             "surface": np.array(stock.nominal.names, dtype=str)[stock.surface[rows]],
             "overstock": value[rows],
-            "off": off[rows],
-            "reason": np.where(off[rows] > 0, "flash", "chip").astype(str),
+            "off": deviation[rows],
+            "reason": np.where(deviation[rows] > 0, "flash", "chip").astype(str),
         },
         {"overstock": "mm", "off": "mm"},
     )
@@ -201,8 +201,8 @@ def _targets(solved: FittedPart) -> tuple[Table, dict[str, Array]]:
     from scipy.linalg import block_diag
 
     targets, fit, sense = solved.prepared.readings.targets, solved.fit, solved.sensitivity
-    places, turn = targets.places, poses.rotation_of(fit.into)
-    points = poses.apply(fit.into, places.values) if len(targets.names) else np.zeros((0, 3))
+    places, turn = targets.places, poses.rotation_of(fit.to_part)
+    points = poses.apply(fit.to_part, places.values) if len(targets.names) else np.zeros((0, 3))
     own = turn @ places.own @ turn.T
     moves = fit.local.movement_of(points)
     shared = np.concatenate([turn @ places.common + moves @ sense.by_common, moves], axis=2)

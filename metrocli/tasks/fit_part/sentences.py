@@ -154,11 +154,11 @@ def by_scale(solved: FittedPart) -> float:
 
     The part is fitted again to points that are larger about their middle; NaN where it then has no pose.
     """
-    stock, begin = solved.stock, (solved.fit.into, np.inf, solved.fit.duals)
+    stock, begin = solved.stock, (solved.fit.to_part, np.inf, solved.fit.duals)
     middle = stock.measured.mean(axis=0)
     larger = replace(stock, measured=middle + (stock.measured - middle) * (1 + SCALE))
     if solved.aim.name == MOST:
-        begin = most_of_many(larger, solved.fit.into)
+        begin = most_of_many(larger, solved.fit.to_part)
     try:
         _, fitted = fitted_part(larger, solved.aim.name, solved.minimum, begin, solved.prepared.start)
     except NotConvergedError:

@@ -28,7 +28,7 @@ from metrocli.tasks.fit_part.fit import (
     most_of_many,
 )
 from metrocli.tasks.fit_part.ideal import ideal, must_be_of_one_size
-from metrocli.tasks.fit_part.levels import Levels, levels
+from metrocli.tasks.fit_part.levels import Levels, robust_levels
 from metrocli.tasks.fit_part.nominals import OfMesh, OfSurfaces
 from metrocli.tasks.fit_part.settings import NominalFile, PartStart, Settings
 from metrocli.tasks.fit_part.start import found, unturned
@@ -99,13 +99,13 @@ def solve(settings: Settings, prepared: Prepared) -> FittedPart:
     """
     nominal, places = prepared.nominal, prepared.readings.surface_points
     rough = _rough(prepared)
-    even = levels(nominal, places.points, prepared.readings.surface, rough, places.sigma)
+    even = robust_levels(nominal, places.points, prepared.readings.surface, rough, places.sigma)
     used = ~even.outlying if settings.outliers == "remove" else np.ones(len(places.points), dtype=bool)
     stock = even.stock.of(used)
     name, minimum = settings.overstock.aim, settings.overstock.minimum
-    open_motions = c.must_be_determined(stock, even.into, name)
-    turned = reversed_surfaces(stock, nominal, even.into) if isinstance(nominal, OfSurfaces) else []
-    highest, largest, holding = most_of_many(stock, even.into)
+    open_motions = c.must_be_determined(stock, even.to_part, name)
+    turned = reversed_surfaces(stock, nominal, even.to_part) if isinstance(nominal, OfSurfaces) else []
+    highest, largest, holding = most_of_many(stock, even.to_part)
     if not c.feasible(largest, minimum):
         contradictions = c.contradictions(stock, minimum, highest)
         hint = c.wrong_side(turned) if turned else c.all_inside(even.level, isinstance(nominal, OfMesh))
@@ -117,19 +117,19 @@ def solve(settings: Settings, prepared: Prepared) -> FittedPart:
     if name == MOST and not np.isfinite(largest):
         raise UndeterminedError("the least overstock has no limit: no surface faces the others; use another aim")
     # nearer to what is sought than the largest least overstock, where they are allowed: no motion, and the even fit
-    near = {LEAST_MOTION: (prepared.start, even.into), EVEN: (even.into,)}.get(name, ())
-    begin = next((into for into in near if _has_the_minimum(stock, minimum, into)), highest)
+    near = {LEAST_MOTION: (prepared.start, even.to_part), EVEN: (even.to_part,)}.get(name, ())
+    begin = next((to_part for to_part in near if _has_the_minimum(stock, minimum, to_part)), highest)
     aim, fitted = fitted_part(stock, name, minimum, (begin, largest, holding), prepared.start)
     sense = sensitivity_with_exchanges(fitted, aim, prepared.start, places.of(used).places)
     warnings = (*prepared.readings.warnings, *open_motions, *doubts)
     return FittedPart(prepared, even, used, stock, aim, fitted, min(minimum, largest), largest, sense, warnings)
 
 
-def _has_the_minimum(stock: Stock, minimum: float, into: Array) -> bool:
+def _has_the_minimum(stock: Stock, minimum: float, to_part: Array) -> bool:
     """Return whether a pose (6,) leaves the minimum everywhere."""
     # far from a mesh each point costs a long search, and one of a thousand mostly answers
     some = stock.of(np.random.default_rng(1).permutation(len(stock.measured))[:_LAID_ON])
-    return all(bool(one.at(into).overstock.min() >= minimum) for one in (some, stock))
+    return all(bool(one.at(to_part).overstock.min() >= minimum) for one in (some, stock))
 
 
 def _rough(prepared: Prepared) -> Array:
@@ -143,9 +143,9 @@ def _rough(prepared: Prepared) -> Array:
         n = len(places.points)
         some = np.random.default_rng(1).permutation(n)[:_LAID_ON]
         pose = unturned(nominal, places.points, prepared.start)
-        laid = levels(nominal, places.points[some], None, pose, places.sigma[some])
-        if c.open_motions(laid.stock, laid.into):
-            return laid.into
+        laid = robust_levels(nominal, places.points[some], None, pose, places.sigma[some])
+        if c.open_motions(laid.stock, laid.to_part):
+            return laid.to_part
     return found(nominal, places.points, surface, prepared.start)
 
 
@@ -156,31 +156,31 @@ def fitted_part(
 
     For the aim `most` the pose is that of the largest least overstock.
     """
-    into, largest, duals = begin
+    to_part, largest, duals = begin
     if name != MOST:
-        aim = aimed(stock, name, min(minimum, largest), into, start)
-        return aim, fit(stock, aim, into)
-    aim = aimed(stock, name, largest - SLACK, into, start)
-    even = fit(stock, aim, into)
+        aim = aimed(stock, name, min(minimum, largest), to_part, start)
+        return aim, fit(stock, aim, to_part)
+    aim = aimed(stock, name, largest - SLACK, to_part, start)
+    even = fit(stock, aim, to_part)
     # of a linear programme the gradient is 0: its duals alone have to balance
     held = np.abs(even.local.rows.T @ duals).max()
     return aim, replace(even, duals=duals, optimality=float(held))
 
 
-def reversed_surfaces(stock: Stock, nominal: OfSurfaces, into: Array) -> list[str]:
+def reversed_surfaces(stock: Stock, nominal: OfSurfaces, to_part: Array) -> list[str]:
     """Return the names of surfaces with whose material on the other side the overstock is far more even."""
-    given = _variation(stock, into)
+    given = _variation(stock, to_part)
     return [
         nominal.names[surface]
         for surface in np.unique(stock.surface).tolist()
-        if _variation(Stock(nominal.reversed(surface), stock.measured, stock.surface), into) < _EVENER * given
+        if _variation(Stock(nominal.reversed(surface), stock.measured, stock.surface), to_part) < _EVENER * given
     ]
 
 
-def _variation(stock: Stock, into: Array) -> float:
+def _variation(stock: Stock, to_part: Array) -> float:
     """Return the standard deviation of the overstock after two steps towards the least one [mm]."""
     for _ in range(2):
-        local = stock.at(into)
+        local = stock.at(to_part)
         rows = local.rows - local.rows.mean(axis=0)
-        into = local.moved(into, -np.linalg.lstsq(rows, local.overstock - local.overstock.mean(), rcond=1e-6)[0])
-    return float(stock.at(into).overstock.std())
+        to_part = local.moved(to_part, -np.linalg.lstsq(rows, local.overstock - local.overstock.mean(), rcond=1e-6)[0])
+    return float(stock.at(to_part).overstock.std())

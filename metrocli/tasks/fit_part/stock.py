@@ -103,11 +103,11 @@ class LinearStock:
         """Return some of the points, with the same centre and lever."""
         return replace(self, points=self.points[rows], shape=self.shape.of(np.flatnonzero(rows)))
 
-    def moved(self, into: Array, step: Array) -> Array:
+    def moved(self, to_part: Array, step: Array) -> Array:
         """Return a pose into the part frame (6,) after a step (6,)."""
         turn = rotation_from_vector(step[3:] / self.lever)
-        shift = turn @ (into[:3] - self.centre) + self.centre + step[:3]
-        return poses.pose(turn @ poses.rotation_of(into), shift)
+        shift = turn @ (to_part[:3] - self.centre) + self.centre + step[:3]
+        return poses.pose(turn @ poses.rotation_of(to_part), shift)
 
 
 @dataclass(frozen=True)
@@ -120,9 +120,9 @@ class Stock:
     surface: Index
     """Index of the surface of each point (n,)"""
 
-    def at(self, into: Array) -> LinearStock:
-        """Return the overstock where `into` (6,) brings the measured points into the part frame."""
-        points = poses.apply(into, self.measured)
+    def at(self, to_part: Array) -> LinearStock:
+        """Return the overstock where `to_part` (6,) brings the measured points into the part frame."""
+        points = poses.apply(to_part, self.measured)
         centre = points.mean(axis=0)
         # a single point has no arm, and no turn that moves it
         lever = float(np.sqrt(((points - centre) ** 2).sum(axis=1).mean())) or 1.0

@@ -55,7 +55,7 @@ def sensitivity(fit: PoseFit, criterion: PoseCriterion, start: Array, places: Pr
     by_point = np.zeros((n, len(system), 3))
     by_point[:, :6] = gradient_by_point(fit, criterion, start)
     duals = len(system) - len(active) + np.arange(len(active))
-    by_point[active, duals] = local.shape.normal[active] @ poses.rotation_of(fit.into)
+    by_point[active, duals] = local.shape.normal[active] @ poses.rotation_of(fit.to_part)
     inverse = np.linalg.pinv(system, rcond=_DEPENDENT)
     step = -(inverse[:6] @ by_point)
     own = np.einsum("nia,nab,njb->ij", step, places.own, step, optimize=True)
@@ -66,7 +66,7 @@ def sensitivity(fit: PoseFit, criterion: PoseCriterion, start: Array, places: Pr
 def gradient_by_point(fit: PoseFit, criterion: PoseCriterion, start: Array) -> Array:
     """Return the derivative of the gradient of the Lagrangian by the measured points, (n, 6, 3)."""
     local, n = fit.local, len(fit.local.points)
-    turn, before = poses.rotation_of(fit.into), poses.rotation_of(start)
+    turn, before = poses.rotation_of(fit.to_part), poses.rotation_of(start)
     weight = _SLIGHT if criterion.name == MOST else 1.0
     gradient, changed = np.zeros((n, 6, 3)), -fit.duals
     if criterion.before is not None:
@@ -110,7 +110,7 @@ def pose_by_step(fit: PoseFit) -> Array:
     A step turns the part frame the other way: `dr = -R w`, `dd = -R (u - w x c)`.
     """
     local = fit.local
-    part = poses.inverse(fit.into)
+    part = poses.inverse(fit.to_part)
     turn = poses.rotation_of(part)
     by_step = np.zeros((6, 6))
     by_step[:3, :3] = -turn

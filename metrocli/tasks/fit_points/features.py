@@ -17,9 +17,9 @@ from metrocli.tasks.fit_points import KIND
 from metrocli.tasks.fit_points.listed import listed_points, table_of
 from metrocli.tasks.shared.features.fit import least_squares
 from metrocli.tasks.shared.features.ideal import UNKNOWNS, IdealFeature
-from metrocli.tasks.shared.features.joint import Joint
+from metrocli.tasks.shared.features.joint import JointCovariance
 from metrocli.tasks.shared.features.report import COVARIANCE, FEATURES, SHOWN, estimates_of, exchanging, fitted
-from metrocli.tasks.shared.features.wanted import RequestedFeature
+from metrocli.tasks.shared.features.requested import RequestedFeature
 from metrocli.tasks.shared.rounding import rounding_of
 from metrocli.units import sized
 
@@ -93,7 +93,7 @@ def fitted_features(wanted: Sequence[RequestedFeature], points: FeaturePoints) -
             text = f"noise of a coordinate {sized(noise, 'length')}, by {dof} degrees of freedom; form counts as noise"
             notes.append(f"feature '{feature.name}': {text if noise else _NO_NOISE}")
     rows = np.arange(len(own))
-    joint = Joint(points.common, points.core, rows, np.nan_to_num(own), np.zeros(len(own)))
+    joint = JointCovariance(points.common, points.core, rows, np.nan_to_num(own), np.zeros(len(own)))
     corrected = Table.of({"point": points.table.texts("point"), "x y z [mm]": points.places})
     tables, arrays, by_common = fitted(wanted, corrected, joint)
     estimates, kept = estimates_of(tables)

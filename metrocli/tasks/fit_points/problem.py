@@ -22,7 +22,7 @@ from metrocli.effects.model import Model, Place
 from metrocli.errors import InputError, UndeterminedError
 from metrocli.frozen import dataclass
 from metrocli.geometry import poses
-from metrocli.instruments.frames import OutOf, PointOf
+from metrocli.instruments.frames import FromFrame, PointOf
 from metrocli.table import Table
 from metrocli.tasks.fit_points.effects import SCALE
 from metrocli.tasks.fit_points.links import PLACE, Coordinate, FromPlace, Scaled
@@ -154,7 +154,7 @@ class PointPairs:
         if not rows.size:
             return None
         whole = Quantity.POINT_IN_MACHINE
-        links = (PointOf(POINT, Quantity.POINT_IN_PART), Scaled(), OutOf(POSE, Quantity.POINT_IN_PART, whole))
+        links = (PointOf(POINT, Quantity.POINT_IN_PART), Scaled(), FromFrame(POSE, Quantity.POINT_IN_PART, whole))
         index = {POINT: rows, POSE: self.station[rows], SCALE: self.station[rows]}
         away, readings = list[FromPlace](), self.nominal[rows, axis][None]
         if self.places is not None:

@@ -21,7 +21,7 @@ from metrocli.tasks.fit_points.effects import SCALE
 from metrocli.tasks.fit_points.features import FeaturePoints, FittedFeatures, fitted_features
 from metrocli.tasks.fit_points.problem import POSE, PointPairs
 from metrocli.tasks.fit_points.tested import Tested, tested
-from metrocli.tasks.shared.features.wanted import RequestedFeature
+from metrocli.tasks.shared.features.requested import RequestedFeature
 from metrocli.tasks.shared.rounding import without_rounding
 from metrocli.tasks.shared.statistics import basic_statistics, noise_notes, noise_warnings, with_noise
 from metrocli.words import listed

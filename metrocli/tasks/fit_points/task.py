@@ -12,7 +12,7 @@ from metrocli.adjust.solution import Solution
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.effects.correlated import with_all
 from metrocli.effects.model import Added
-from metrocli.effects.wanted import Wanted
+from metrocli.effects.requested import RequestedEffect
 from metrocli.errors import InputError, NotConvergedError, UndeterminedError
 from metrocli.result import Result
 from metrocli.tasks.fit_points.diagnosis import adjusted_job, covariates
@@ -26,7 +26,7 @@ from metrocli.tasks.fit_points.settings import Files, Settings, refuse_nothing_t
 from metrocli.tasks.fit_points.start import aligned_start, mirrored, similarity
 from metrocli.tasks.fit_points.stations import stations_of
 from metrocli.tasks.job import Job, Task
-from metrocli.tasks.shared.features.wanted import wanted_features
+from metrocli.tasks.shared.features.requested import requested_features
 
 
 def run(job: Job[Settings, Files]) -> Result:
@@ -36,12 +36,12 @@ def run(job: Job[Settings, Files]) -> Result:
     if files.stations:
         problem = _of_stations(job)
         return joined(problem, solved(problem)[0])
-    wanted = wanted_features(settings.features, table_of(files.points), "points")
+    requested = requested_features(settings.features, table_of(files.points), "points")
     if files.nominal is None:
-        return features_alone(wanted, files.points, settings.noise)
+        return features_alone(requested, files.points, settings.noise)
     problem = _started(problem_of(settings, files))
     mirror = _of_the_mirror_image(problem)
-    return report(problem, solved(problem, job.effects), mirror, wanted)
+    return report(problem, solved(problem, job.effects), mirror, requested)
 
 
 def diagnosed(job: Job[Settings, Files]) -> AdjustedJob:
@@ -73,17 +73,17 @@ def check(job: Job[Settings, Files]) -> None:
     if job.files.stations:
         _of_stations(job)
         return
-    wanted_features(job.settings.features, table_of(job.files.points), "points")
+    requested_features(job.settings.features, table_of(job.files.points), "points")
     if job.files.nominal is not None:
         problem_of(job.settings, job.files)
 
 
-def solved(problem: PointPairs, wanted: Iterable[Wanted] = ()) -> tuple[Solution, tuple[Added, ...]]:
+def solved(problem: PointPairs, requests: Iterable[RequestedEffect] = ()) -> tuple[Solution, tuple[Added, ...]]:
     """Return the adjustment, and the effects in its model.
 
     Raises InputError for effects that cannot act, UndeterminedError or NotConvergedError if it has no good solution.
     """
-    model = with_all(problem.model(), wanted)
+    model = with_all(problem.model(), requests)
     solution = adjust(model.blocks.values(), model.groups)
     if solution.undetermined or not solution.outcome.good:
         lines = [f"  undetermined: {combination}" for combination in solution.undetermined[:3]]

@@ -9,7 +9,7 @@ import numpy as np
 from metrocli.arrays import Array
 from metrocli.effects.estimates import true_values
 from metrocli.effects.extension import extended
-from metrocli.effects.wanted import Wanted
+from metrocli.effects.requested import RequestedEffect
 from metrocli.geometry.rotations import wrapped
 from metrocli.instruments import launch_unit as lu
 from metrocli.simulation import Simulation
@@ -26,7 +26,7 @@ def simulated(
     noise: LaunchUnitNoise,
     places: Table,
     rng: np.random.Generator,
-    effects: Sequence[Wanted] = (),
+    effects: Sequence[RequestedEffect] = (),
     environment: Environment | None = None,
 ) -> Simulation:
     """Return simulated encoder readings (and distances) at the listed places, with effects and noise, and the truth.
@@ -50,7 +50,7 @@ def simulated(
 
 
 def _exact(
-    truth: TrueLaunchUnit, noise: LaunchUnitNoise, places: Table, effects: Sequence[Wanted]
+    truth: TrueLaunchUnit, noise: LaunchUnitNoise, places: Table, effects: Sequence[RequestedEffect]
 ) -> tuple[AlignedPoses, dict[str, float]]:
     """Return readings without noise, and the true values of their effects; vertical beams stay without effects."""
     receiver, spindle = places.stacked("xyz"), places.numbers("spindle")

@@ -12,7 +12,7 @@ from metrocli.adjust.outcome import Outcome
 from metrocli.adjust.solution import Residuals, Solution, residuals_of
 from metrocli.arrays import Array
 from metrocli.effects.estimates import absorbed
-from metrocli.effects.wanted import Wanted
+from metrocli.effects.requested import RequestedEffect
 from metrocli.errors import Fault, InputError, MetrocliError, NotConvergedError, UndeterminedError
 from metrocli.frozen import dataclass
 from metrocli.geometry.rotations import wrapped
@@ -45,7 +45,7 @@ class How:
     """adjustment, lines or closed-loop"""
     remove: bool = False
     """Whether to leave outliers out"""
-    effects: Sequence[Wanted] = ()
+    effects: Sequence[RequestedEffect] = ()
     explain: bool = True
     """Whether other meanings of the columns are tried if the readings fit no place"""
 

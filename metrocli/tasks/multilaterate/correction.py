@@ -16,7 +16,7 @@ from metrocli.table import Table
 from metrocli.tasks.multilaterate.probed.tips import ANY, Tips, tips_of
 from metrocli.tasks.multilaterate.problem import TracerNetwork
 from metrocli.tasks.multilaterate.settings import Correction, Files, Settings
-from metrocli.tasks.shared.features.joint import Joint
+from metrocli.tasks.shared.features.joint import JointCovariance
 from metrocli.tasks.shared.part import Part
 from metrocli.uncertainty.predicted import COMMON, CORE
 from metrocli.words import listed
@@ -64,7 +64,7 @@ def refuse_lost(network: TracerNetwork, probing: Probing) -> None:
 
 def corrected(
     network: TracerNetwork, solution: Solution, probing: Probing, shared: Mapping[str, Array], part: Part | None = None
-) -> tuple[Table, Joint]:
+) -> tuple[Table, JointCovariance]:
     """Return the probing points, corrected by the mover's error at their replayed points, and their joint covariance.
 
     A probing point belongs to the replayed point of its name, else to the nearest nominal point of its tip within the
@@ -88,7 +88,7 @@ def corrected(
     joint = _joint(network, solution, probing.tips, match, shared, own, returned)
     if part is not None:
         moved, joint = moved * part.shrinkage, joint.at_reference(part, moved * part.shrinkage)
-    covariance = joint.each()
+    covariance = joint.of_points()
     names = {name: table.columns[name] for name in ("feature", "point", "tip") if name in table}
     std = np.sqrt(np.einsum("nkk->nk", covariance))
     return Table.of({**names, "x y z [mm]": moved, "sx sy sz [mm]": std}), joint
@@ -102,7 +102,7 @@ def _joint(
     shared: Mapping[str, Array],
     own: Array,
     returned: Array,
-) -> Joint:
+) -> JointCovariance:
     """Return the joint covariance; points of one replay share the error of its place and of the return to it.
 
     `returned` is the variance of the return to each point of the network.
@@ -117,7 +117,7 @@ def _joint(
     size = len(core)
     both = np.zeros((size + by_tip.shape[2],) * 2)
     both[:size, :size], both[size:, size:] = core, np.diag(tips.sigma.ravel() ** 2)
-    return Joint(np.concatenate([of_point[replay], by_tip], axis=2), both, replay, left, own)
+    return JointCovariance(np.concatenate([of_point[replay], by_tip], axis=2), both, replay, left, own)
 
 
 def _several_stops(network: TracerNetwork) -> Mask:

@@ -11,7 +11,7 @@ import numpy as np
 from metrocli.adjust.adjustment import covariance_at
 from metrocli.adjust.solution import Solution
 from metrocli.arrays import Array, Index, Values
-from metrocli.effects.wanted import Wanted
+from metrocli.effects.requested import RequestedEffect
 from metrocli.errors import InputError
 from metrocli.frozen import dataclass
 from metrocli.instruments import tracer as t
@@ -85,7 +85,7 @@ class PlannedNetwork:
     planned: PlannedPoints
     distances: Table | None = None
     """Calibrated distances between points"""
-    effects: Sequence[Wanted] = ()
+    effects: Sequence[RequestedEffect] = ()
 
     @cached_property
     def network(self) -> TracerNetwork:

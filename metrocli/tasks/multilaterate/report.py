@@ -22,7 +22,7 @@ from metrocli.tasks.multilaterate.solve import AdjustedTracers
 from metrocli.tasks.multilaterate.uncontrolled import scale_warnings, uncontrolled
 from metrocli.tasks.shared.environment import blocks_of, estimates_of
 from metrocli.tasks.shared.features.report import FEATURES, SHOWN, exchanging, fitted
-from metrocli.tasks.shared.features.wanted import RequestedFeature
+from metrocli.tasks.shared.features.requested import RequestedFeature
 from metrocli.tasks.shared.joint_covariance import factors
 from metrocli.tasks.shared.lists import name_of
 from metrocli.tasks.shared.noise import NoiseFound
@@ -73,7 +73,7 @@ def report(
     tables["not_controlled"] = hidden
     if probing is not None:
         tables["corrected"], joint = corrected(solved.network, solution, probing, arrays, part)
-        arrays["corrected_covariance"] = joint.each()
+        arrays["corrected_covariance"] = joint.of_points()
         feature_tables, feature_arrays, _ = fitted(features, tables["corrected"], joint)
         tables, arrays = tables | feature_tables, arrays | feature_arrays
     return Result(

@@ -12,7 +12,7 @@ from metrocli.arrays import Array
 from metrocli.effects.estimates import true_values
 from metrocli.effects.extension import extended
 from metrocli.effects.model import Model, Place
-from metrocli.effects.wanted import Wanted
+from metrocli.effects.requested import RequestedEffect
 from metrocli.errors import InputError
 from metrocli.instruments import tracer as t
 from metrocli.simulation import Simulation
@@ -30,7 +30,7 @@ def simulated(
     settings: Settings,
     truth: LengthSimulation,
     planned: PlannedPoints,
-    effects: Sequence[Wanted],
+    effects: Sequence[RequestedEffect],
     rng: np.random.Generator,
 ) -> Simulation:
     """Return lengths from tracers at their listed places to the true points, with effects and noise.

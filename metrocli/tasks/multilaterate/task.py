@@ -24,7 +24,7 @@ from metrocli.tasks.multilaterate.report import report
 from metrocli.tasks.multilaterate.settings import Files, Settings
 from metrocli.tasks.multilaterate.simulation import simulated
 from metrocli.tasks.multilaterate.solve import solve
-from metrocli.tasks.shared.features.wanted import wanted_features
+from metrocli.tasks.shared.features.requested import requested_features
 from metrocli.tasks.shared.noise import weighed
 
 
@@ -35,7 +35,7 @@ def run(job: Job[Settings, Files]) -> Result:
         with each():
             probing = probing_of(settings, job.files)
         with each():
-            features = wanted_features(settings.features, job.files.probing)
+            features = requested_features(settings.features, job.files.probing)
     network = build(settings, job.files).with_effects(job.effects)
     if probing is not None:
         refuse_lost(network, probing)
@@ -61,7 +61,7 @@ def check(job: Job[Settings, Files]) -> None:
             if probing is not None:
                 refuse_lost(bare, probing)
         with each():
-            wanted_features(settings.features, files.probing)
+            requested_features(settings.features, files.probing)
 
 
 def diagnosed(job: Job[Settings, Files]) -> AdjustedJob:

@@ -44,9 +44,9 @@ def scale_warnings(network: TracerNetwork, solution: Solution) -> Iterator[str]:
     if mean < scale.uncertainty:
         own, all_together = units.sized(scale.uncertainty, "ratio"), units.sized(mean, "ratio")
         yield (
-            f"{len(block.members)} independent scales of {own} make the scale of the network {all_together}; "
-            f"if they share a source, such as one weather station, write `scale: {{uncertainty: OWN, common: {own}}}`; "
-            "if not, `common: 0 ppm`"
+            f"the scale of the network has a standard uncertainty of {all_together}, because the scales of its "
+            f"{len(block.members)} tracers, {own} each, count as independent. If they share a source, such as one "
+            f"weather station, write `scale: {{uncertainty: OWN, common: {own}}}`; if not, `common: 0 ppm`"
         )
 
 

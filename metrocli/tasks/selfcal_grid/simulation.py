@@ -9,7 +9,7 @@ import numpy as np
 from metrocli.arrays import Array, Index
 from metrocli.effects.estimates import true_values
 from metrocli.effects.extension import extended
-from metrocli.effects.wanted import Wanted
+from metrocli.effects.requested import RequestedEffect
 from metrocli.errors import Fault, InputError
 from metrocli.geometry.poses import EULER, pose_from_euler
 from metrocli.instruments.ball_grid import ARTEFACT, MACHINE, VIEW, View, numbers_at, rigid
@@ -46,7 +46,7 @@ def views_on_the_grid(settings: Settings) -> list[View]:
 def simulated(
     settings: Settings,
     views: Table | None,
-    effects: Sequence[Wanted],
+    effects: Sequence[RequestedEffect],
     rng: np.random.Generator,
     lengths: Table | None = None,
 ) -> Simulation:

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from metrocli.effects.wanted import Wanted
+    from metrocli.effects.requested import RequestedEffect
 
 _ADJUSTMENT = ("observations", "unknowns", "conditions", "dof", "sigma0", "chi2", "p_value", "iterations")
 _NOISE_FOUND = ("noise_estimated", "clusters", "inflation")
@@ -36,7 +36,7 @@ def with_std(estimates: Mapping[str, str]) -> dict[str, str]:
     }
 
 
-def of_effects(effects: Sequence[Wanted]) -> dict[str, str]:
+def of_effects(effects: Sequence[RequestedEffect]) -> dict[str, str]:
     """Return the estimated parameters of the effects that a job adds, named as in `metrocli.effects.estimates`."""
     figures: dict[str, str] = {}
     names = [effect.name for effect in effects]

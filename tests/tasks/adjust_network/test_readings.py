@@ -229,3 +229,17 @@ def test_places_that_are_not_tested_for_one_reason_stand_in_one_line(tmp_path: P
         for line in lines
     )
     assert not any("needs a column heights" in line for line in told)
+
+
+def test_a_cause_that_would_show_only_beyond_its_plausible_size_is_listed_with_this_reason(
+    tmp_path: Path, metrocli: Metrocli
+) -> None:
+    """A bar is wrong by 10 mm at most, and one with a standard deviation of 50 mm shows no such error."""
+    job = network(np.random.default_rng(37), mixed=True).write(tmp_path)
+    path = tmp_path / "bars.csv"
+    head, first, *others = path.read_text().splitlines()
+    path.write_text("\n".join([head, f"{first.rpartition(',')[0]},50", *others]) + "\n")
+    lines = [line for line in metrocli("diagnose", job, "--design").out.splitlines() if line.startswith("bar-error")]
+    (untested,) = (line for line in lines if "not-tested" in line)
+    assert "B1" in untested and untested.endswith("the measurement sees only sizes beyond the plausible")
+    assert any("B2" in line for line in lines if line != untested)

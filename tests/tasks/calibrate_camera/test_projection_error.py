@@ -12,7 +12,7 @@ import pytest
 from metrocli.geometry import poses
 from metrocli.instruments import camera
 from metrocli.tasks.calibrate_camera.multi_camera.views import views_of
-from metrocli.tasks.calibrate_camera.projection_error import _Linear, _Projection
+from metrocli.tasks.calibrate_camera.projection_error import _LensDerivatives, _Projection
 
 COLUMNS, VALUES = ("f", "cx", "cy", "k1"), np.array([1000.0, 500.0, 400.0, -0.1])
 READINGS = np.stack([part.ravel() for part in np.meshgrid(np.linspace(200, 800, 9), np.linspace(150, 650, 7))])
@@ -20,9 +20,9 @@ CORNER = np.array([[0.0], [0.0]])
 
 
 def std(name: str, spread: float, depth: float, at: Any = CORNER, convention: str = "forward") -> float:
-    there = _Linear(convention, COLUMNS, VALUES)
+    lens = _LensDerivatives(convention, COLUMNS, VALUES)
     free = np.array([COLUMNS.index(name)])
-    return float(_Projection(there, free, np.array([[spread**2]]), READINGS, None).std(at, depth).max())
+    return float(_Projection(lens, free, np.array([[spread**2]]), READINGS, None).std(at, depth).max())
 
 
 def test_a_focal_length_is_a_distance_but_not_for_far_points() -> None:
@@ -58,7 +58,7 @@ def test_a_distorted_lens_moves_as_with_the_derivatives_of_opencv() -> None:
     change = by_lens - by_move @ np.linalg.lstsq(near_move, near_lens, rcond=None)[0]
     covariance = np.diag([0.5, 0.4, 0.4, 0.004, 0.02]) ** 2
     wanted = np.sqrt(np.einsum("ia,ab,ib->i", change, covariance, change).reshape(-1, 2).sum(axis=1))
-    lens = _Linear("forward", columns, values)
+    lens = _LensDerivatives("forward", columns, values)
     found = _Projection(lens, np.arange(5), covariance, READINGS, None).std(at, 400.0)
     assert found == pytest.approx(wanted, rel=0.01)
 

@@ -17,7 +17,7 @@ from metrocli.tasks.calibrate_machine.described import machine_of
 from metrocli.tasks.calibrate_machine.methods.standstill import standstill
 from metrocli.tasks.calibrate_machine.plans.path_search import edges_and_diagonals
 from metrocli.tasks.calibrate_machine.plans.planned import planned_problem
-from metrocli.tasks.calibrate_machine.plans.wanted import PathPlan
+from metrocli.tasks.calibrate_machine.plans.settings import PathPlan
 from metrocli.tasks.calibrate_machine.rank.identifiability import Identifiability, identify
 
 KNOTS = (13, 11, 11)

@@ -22,7 +22,7 @@ from metrocli.tasks.calibrate_machine import task as calibrate_machine
 from metrocli.tasks.calibrate_machine.diagnosis import noise_of
 from metrocli.tasks.calibrate_machine.files import Files
 from metrocli.tasks.calibrate_machine.noise_settings import MachineNoise
-from metrocli.tasks.calibrate_machine.plans.wanted import PathPlan
+from metrocli.tasks.calibrate_machine.plans.settings import PathPlan
 from metrocli.tasks.calibrate_machine.rank.layout import line_of, stations_lie
 from metrocli.tasks.calibrate_machine.settings import Settings
 from metrocli.tasks.calibrate_machine.solve import AdjustedMachine, solve

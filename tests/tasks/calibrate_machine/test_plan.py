@@ -19,7 +19,7 @@ from metrocli.tasks.calibrate_machine.described import machine_of
 from metrocli.tasks.calibrate_machine.noise_settings import MachineNoise
 from metrocli.tasks.calibrate_machine.plans.path_search import edges_and_diagonals
 from metrocli.tasks.calibrate_machine.plans.planned import planned_problem
-from metrocli.tasks.calibrate_machine.plans.wanted import PathPlan
+from metrocli.tasks.calibrate_machine.plans.settings import PathPlan
 from metrocli.tasks.calibrate_machine.rank.identifiability import identify
 from metrocli.tasks.calibrate_machine.settings import MachineSimulation
 

@@ -36,7 +36,7 @@ def test_a_rough_casting_whose_bores_bend_away_below_a_step(
     stock = Stock(part, one.points, np.array([part.names.index(name) for name in one.surface]))
     top = most(stock, poses.inverse(poses.pose_from_euler(one.pose[:3], one.pose[3:])))
     fit = fitted_part(stock, aim, top[1] - below, top, np.zeros(6))[1]
-    back = poses.inverse(fit.into)
+    back = poses.inverse(fit.to_part)
     pose = np.concatenate([back[:3], poses.euler_form(back)[3:]])
     assert one.overstock_at(pose).min() >= top[1] - below - 1e-7
     assert fit.optimality < 1e-4 and fit.iterations < 15

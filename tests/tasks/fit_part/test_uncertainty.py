@@ -80,7 +80,7 @@ def test_the_sensitivity_is_the_difference_of_two_fits(aim: str, minimum: float,
     found = sensitivity(fit, chosen, start, places)
     along = rng.normal(size=one.points.shape)
     h = 1e-3 if aim == "most" else 1e-4
-    ahead, behind = (poses.inverse(at(one.points + side * h * along)[1].into) for side in (1, -1))
+    ahead, behind = (poses.inverse(at(one.points + side * h * along)[1].to_part) for side in (1, -1))
     difference = poses.euler_form(ahead) - poses.euler_form(behind)
     expected = pose_by_step(fit) @ np.einsum("nij,nj->i", found.by_point, along)
     assert np.allclose(difference / (2 * h) / SCALE, expected / SCALE, atol=0.02 * np.abs(expected / SCALE).max())

@@ -82,7 +82,7 @@ def test_stated_uncertainties_hold_for_declared_and_for_estimated_noise(shape: I
     from metrocli.settings import LocatedValue
     from metrocli.table import Table
     from metrocli.tasks.fit_points.features import features_alone
-    from metrocli.tasks.shared.features.wanted import wanted_features
+    from metrocli.tasks.shared.features.requested import requested_features
 
     rng, true = np.random.default_rng(8), cloud(shape, 30, 0.0, np.random.default_rng(3))
     node = Node("scalar", Source("job.yaml", (), Path()), "features.f")
@@ -92,7 +92,7 @@ def test_stated_uncertainties_hold_for_declared_and_for_estimated_noise(shape: I
             columns = dict(zip("xyz", (true + rng.normal(0, 0.01, true.shape)).T, strict=True))
             names = {"point": np.array([f"P{i}" for i in range(30)]), "feature": np.array(["f"] * 30)}
             table = Table(names | columns, dict.fromkeys("xyz", "mm"))
-            wanted = wanted_features({"f": LocatedValue(str(shape), node)}, table, "points")
+            wanted = requested_features({"f": LocatedValue(str(shape), node)}, table, "points")
             result = features_alone(wanted, table, noise)
             numbers = [one for one in result.estimates if not one.name.endswith((".form", ".i", ".j", ".k"))]
             values.append([one.value for one in numbers])

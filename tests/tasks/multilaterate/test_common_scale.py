@@ -80,10 +80,11 @@ def test_a_scale_better_than_its_source_is_warned_of() -> None:
     bars = Table({**bar, "length": np.array([length]), "sigma": np.array([1e-4])}, {"length": "mm", "sigma": "mm"})
 
     def warned(of: Settings, **more: Table) -> list[str]:
-        return [line for line in adjusted(net, of, **more).warnings if "independent scales" in line]
+        return [line for line in adjusted(net, of, **more).warnings if "count as independent" in line]
 
     (line,) = warned(job(None, 1e-6))
-    assert line.startswith("4 independent scales of 1 um/m make the scale of the network 0.5 um/m; ")
+    assert line.startswith("the scale of the network has a standard uncertainty of 0.5 um/m, ")
+    assert "because the scales of its 4 tracers, 1 um/m each, count as independent. " in line
     assert "write `scale: {uncertainty: OWN, common: 1 um/m}`" in line
     assert warned(job(0.0, 1e-6)) == warned(job(1e-6, 1e-7)) == warned(settings()) == []
     assert warned(job(None, 1e-6), distances=bars) == []

@@ -25,11 +25,11 @@ from metrocli.tasks.calibrate_camera.multi_camera.alone import doubts_and_warnin
 from metrocli.tasks.calibrate_camera.multi_camera.system import CameraSystem
 from metrocli.tasks.calibrate_camera.multi_camera.views import views_of
 from metrocli.tasks.calibrate_camera.projection_error import (
-    CameraOfSeveral,
+    CameraOfSystem,
     corner_warnings,
     coverage_note,
-    covered_by_member,
-    projection_of_member,
+    coverage_statistics_of_member,
+    projection_table_of_member,
 )
 from metrocli.tasks.calibrate_camera.settings import Files, Settings
 from metrocli.tasks.calibrate_camera.shape.found import coefficients, rms_of
@@ -70,7 +70,7 @@ def report(system: CameraSystem, adjusted: AdjustedImages, job: Job[Settings, Fi
         **effects,
     }
     tables["targets"] = with_places(tables["targets"], solution)
-    tables["projection_error"], covers = _projection_error(system, adjusted)
+    tables["projection_error"], coverages = _projection_error(system, adjusted)
     tables[TABLE] = table_of(_not_controlled(system, solution))
     shapes = {solution.blocks[camera.LENS].members[link.member or 0]: link for link in system.shapes}
     if shapes:
@@ -98,10 +98,10 @@ def report(system: CameraSystem, adjusted: AdjustedImages, job: Job[Settings, Fi
     folding = {name: line for name, line, among in folds if among}
     doubts, contradicted = doubts_and_warnings(system, job.settings, adjusted, folding)
     warnings += [*view_warnings(system, solution), *contradicted]
-    warnings += [f"{name}: {line}" for name, of_camera in covers.items() for line in corner_warnings(of_camera)]
+    warnings += [f"{name}: {line}" for name, of_camera in coverages.items() for line in corner_warnings(of_camera)]
     warnings += [f"{name}: {line}" for name, line, among in folds if not among]
     known = adjusted.noise is None
-    statistics = {**_statistics(system, adjusted, residuals), **_worst(covers)}
+    statistics = {**_statistics(system, adjusted, residuals), **_worst(coverages)}
     return Result(
         kind=KIND.name,
         title="",
@@ -116,7 +116,7 @@ def report(system: CameraSystem, adjusted: AdjustedImages, job: Job[Settings, Fi
         notes=(
             *(tested.notes if tested is not None else ()),
             *adjustment_notes(adjusted),
-            *(f"{name}: {coverage_note(of_camera)}" for name, of_camera in covers.items()),
+            *(f"{name}: {coverage_note(of_camera)}" for name, of_camera in coverages.items()),
             *_baselines(solution),
             *_of_shapes(system, shapes, solution),
             *(noise_notes(solution) if known else ()),
@@ -137,29 +137,29 @@ def _of_shapes(system: CameraSystem, shapes: Mapping[str, LensShape], solution: 
 
 
 def _projection_error(system: CameraSystem, adjusted: AdjustedImages) -> tuple[Table, dict[str, Statistics]]:
-    """Return how well each camera projects over its image, at the distance of its targets, and what it covers."""
+    """Return how well each camera projects over its image, at the distance of its targets, and its coverage."""
     solution, observations = adjusted.solution, adjusted.group.observations
-    far, of = np.abs(depths(adjusted.group, solution)), observations.index[camera.LENS]
-    parts, covers = [], dict[str, Statistics]()
+    depth, camera_of = np.abs(depths(adjusted.group, solution)), observations.index[camera.LENS]
+    tables, coverages = [], dict[str, Statistics]()
     for number, name in enumerate(solution.blocks[camera.LENS].members):
-        mine = of == number
-        link = next((one for one in system.shapes if one.member == number), None)
-        own = CameraOfSeveral(name, number, system.conventions[number], system.size(name), link)
-        depth = float(np.median(far[mine]))
-        parts.append(projection_of_member(solution, own, observations.readings[:, mine], depth))
-        covers[name] = covered_by_member(solution, own, observations.readings[:, mine])
-    return Table.stack(parts), covers
+        rows = camera_of == number
+        shape = next((shape for shape in system.shapes if shape.member == number), None)
+        readings = observations.readings[:, rows]
+        member = CameraOfSystem(name, number, system.conventions[number], system.size(name), shape)
+        tables.append(projection_table_of_member(solution, member, readings, float(np.median(depth[rows]))))
+        coverages[name] = coverage_statistics_of_member(solution, member, readings)
+    return Table.stack(tables), coverages
 
 
-def _worst(covers: Mapping[str, Statistics]) -> Statistics:
-    """Return what the camera covers that is known worst in a corner, for the size of its image, with its name."""
+def _worst(coverages: Mapping[str, Statistics]) -> Statistics:
+    """Return what the camera coverages that is known worst in a corner, for the size of its image, with its name."""
 
     def uncertain(name: str) -> float:
-        corner, width, height = (covers[name][key] for key in ("corner_std", "image_width", "image_height"))
+        corner, width, height = (coverages[name][key] for key in ("corner_std", "image_width", "image_height"))
         return float(corner) / max(float(width), float(height))  # type: ignore[arg-type]
 
-    worst = max(covers, key=uncertain)
-    return {**covers[worst], "worst_camera": worst}
+    worst = max(coverages, key=uncertain)
+    return {**coverages[worst], "worst_camera": worst}
 
 
 def _not_controlled(system: CameraSystem, solution: Solution) -> Iterator[Hidden]:

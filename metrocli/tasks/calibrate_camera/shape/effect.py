@@ -14,22 +14,22 @@ import numpy as np
 from metrocli.arrays import Array
 from metrocli.effects.effect import Effect, Parameter, sizes
 from metrocli.effects.links.lens_shape import SHAPE, Knots, LensShape
-from metrocli.effects.wanted import Wanted
+from metrocli.effects.requested import RequestedEffect
 from metrocli.errors import InputError
 from metrocli.tasks.calibrate_camera.problem import CameraProblem
 from metrocli.tasks.calibrate_camera.shape.spline import kernels, link_free_of_base
 
-_SMALL = 3e-3
-"""Share of the largest variance below which a direction of the shape is left out"""
-_ANY = Knots((2592, 1944), (8, 7))
+_LEAST_VARIANCE = 3e-3
+"""Share of the largest variance below which a direction of the shape is left out: 5 % of its standard deviation"""
+_EXAMPLE = Knots((2592, 1944), (8, 7))
 """Knots where no calibration gives the image; the shape is then a bump in its middle"""
-_BUMP = np.eye(_ANY.size)[:, [_ANY.size // 4 + _ANY.counts[0] // 2]]
+_BUMP = np.eye(_EXAMPLE.size)[:, [_EXAMPLE.size // 4 + _EXAMPLE.counts[0] // 2]]
 
 LENS_SHAPE = Effect(
     SHAPE,
     "the lens images in a way that its polynomial does not have: a wide angle, a cover glass",
     sizes("z", "pixel", "3 px"),
-    lambda block, where: LensShape(_ANY, _BUMP, block),
+    lambda block, where: LensShape(_EXAMPLE, _BUMP, block),
     confused_with=("radial-distortion", "thin-prism", "sensor-tilt"),
     formula="(u, v) += sum_k B_k(u, v) (N R z)_k    # cubic B-splines on knots over the image",
     note="It has no part that the estimated lens or a turn of the camera could take. `std` is the size of the shift; "
@@ -47,24 +47,25 @@ def lens_shape(problem: CameraProblem) -> Effect:
     """Return the effect beside the base lens of a calibration, with a parameter for each direction of its shape."""
     link = link_free_of_base(problem)
     values, vectors = np.linalg.eigh(np.mean(kernels(link, problem.image_size), axis=0))
-    kept = values > _SMALL * values[-1]
+    kept = values > _LEAST_VARIANCE * values[-1]
     modes: Array = link.to_coefficients @ (vectors[:, kept] * np.sqrt(values[kept]))
-    like = LENS_SHAPE.parameters[0]
-    parameters = tuple(Parameter(f"z{i + 1}", like.dimension, like.plausible) for i in range(modes.shape[1]))
+    z = LENS_SHAPE.parameters[0]
+    parameters = tuple(Parameter(f"z{i + 1}", z.dimension, z.plausible) for i in range(modes.shape[1]))
     return replace(LENS_SHAPE, parameters=parameters, link=lambda block, where: LensShape(link.knots, modes, block))
 
 
-def beside_base(problem: CameraProblem, wanted: Iterable[Wanted]) -> tuple[Wanted, ...]:
+def beside_base(problem: CameraProblem, requests: Iterable[RequestedEffect]) -> tuple[RequestedEffect, ...]:
     """Return the effects that a job names, a lens shape as that beside its base lens.
 
     Raises InputError if its size is not stated.
     """
-    wanted = tuple(wanted)
-    if not any(one.name == SHAPE for one in wanted):
-        return wanted
+    requests = tuple(requests)
+    of_shape = [request for request in requests if request.name == SHAPE]
+    if not of_shape:
+        return requests
     hint = "write std: 0.3 px, the size of the shift, or camera: {model: spline}, which estimates it"
-    faults = [one.node.fault("lens-shape: std is missing", hint) for one in wanted if one.name == SHAPE and not one.std]
+    faults = [request.node.fault("lens-shape: std is missing", hint) for request in of_shape if not request.std]
     if faults:
         raise InputError(faults)
-    here = lens_shape(problem)
-    return tuple(replace(one, forms=(here,)) if one.name == SHAPE else one for one in wanted)
+    form = lens_shape(problem)
+    return tuple(replace(request, forms=(form,)) if request.name == SHAPE else request for request in requests)

@@ -61,7 +61,7 @@ def _refraction(by: str, condition: str, need: str, rate: tuple[Parameter, ...],
         note="With one line in the time of the drift it equals thermal-growth. On lines that are each run once "
         "it is a part of the positioning errors.",
         usual=usual,
-        reveal="temperature and pressure of the air with each reading; a line run again at the end",
+        reveal="temperature and pressure of the air with each reading; one line measured again at the end",
         source="Birch and Downs 1994: -0.955 ppm/K, +0.268 ppm/hPa",
     )
 

@@ -22,7 +22,7 @@ from metrocli.adjust.model.observations import Observations
 from metrocli.adjust.rounds import in_rounds
 from metrocli.adjust.stream_condensation import Condensed, condense
 from metrocli.arrays import Array, Index
-from metrocli.effects.wanted import Wanted
+from metrocli.effects.requested import RequestedEffect
 from metrocli.errors import Fault, InputError
 from metrocli.frozen import dataclass
 from metrocli.geometry import poses
@@ -61,14 +61,16 @@ class TrackMeasurement:
     cells: Array
     """Distances along the whole path at which cells begin, and its end [mm]"""
     settings: Settings
-    effects: tuple[Wanted, ...] = ()
+    effects: tuple[RequestedEffect, ...] = ()
 
     def with_noise_times(self, factor: float) -> TrackMeasurement:
         """Return the measurement with a factor on the declared noise of the tracker."""
         return replace(self, noise=self.noise.times(factor))
 
 
-def measurement(settings: Settings, path: Table, track: Table, effects: Sequence[Wanted] = ()) -> TrackMeasurement:
+def measurement(
+    settings: Settings, path: Table, track: Table, effects: Sequence[RequestedEffect] = ()
+) -> TrackMeasurement:
     """Return a track aligned with its path; raises InputError if it does not match the path."""
     machine = machine_of(settings)
     legs = path_of(settings, machine, path)
@@ -107,7 +109,7 @@ class _Linearised:
     """The same at the place before"""
 
 
-def _longest_cell(effects: Sequence[Wanted]) -> float:
+def _longest_cell(effects: Sequence[RequestedEffect]) -> float:
     """Return the longest cell for the periods of the effects: an eighth of a period is nearly a parabola."""
     periods = [float(effect.values["period"]) for effect in effects if "period" in effect.values]
     return min(periods, default=np.inf) / _CELLS_IN_A_PERIOD

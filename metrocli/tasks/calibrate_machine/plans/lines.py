@@ -26,8 +26,8 @@ from metrocli.tasks.calibrate_machine.methods.poses import in_degrees
 from metrocli.tasks.calibrate_machine.methods.six_dof import six_dof
 from metrocli.tasks.calibrate_machine.plans.planned import PLACES, REST, Worth, planned
 from metrocli.tasks.calibrate_machine.plans.pose_program import any_turn
+from metrocli.tasks.calibrate_machine.plans.settings import PathPlan
 from metrocli.tasks.calibrate_machine.plans.stops import judged, visits, worth_or_lack
-from metrocli.tasks.calibrate_machine.plans.wanted import PathPlan
 from metrocli.tasks.calibrate_machine.settings import MachineSimulation, Settings
 from metrocli.tasks.calibrate_machine.warnings import identifiability_notes
 

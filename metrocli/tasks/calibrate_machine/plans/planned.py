@@ -28,7 +28,7 @@ from metrocli.tasks.calibrate_machine.described import error_blocks, machine_of,
 from metrocli.tasks.calibrate_machine.methods.on_the_fly import READINGS, path_of
 from metrocli.tasks.calibrate_machine.methods.standstill import tracker_noise
 from metrocli.tasks.calibrate_machine.plans.path_search import ChosenPath, PathRequirements, edges_and_diagonals, search
-from metrocli.tasks.calibrate_machine.plans.wanted import PathPlan
+from metrocli.tasks.calibrate_machine.plans.settings import PathPlan
 from metrocli.tasks.calibrate_machine.problem import MachineProblem, conditions, model_of
 from metrocli.tasks.calibrate_machine.rank.identifiability import Identifiability, identify
 from metrocli.tasks.calibrate_machine.settings import Settings

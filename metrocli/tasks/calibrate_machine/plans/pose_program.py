@@ -16,7 +16,7 @@ from metrocli.tasks.calibrate_machine.described import commanded, machine_of
 from metrocli.tasks.calibrate_machine.files import Files
 from metrocli.tasks.calibrate_machine.methods.targets import brought_to
 from metrocli.tasks.calibrate_machine.plans.planned import PLACES, REST
-from metrocli.tasks.calibrate_machine.plans.wanted import PathPlan
+from metrocli.tasks.calibrate_machine.plans.settings import PathPlan
 from metrocli.tasks.calibrate_machine.problem import tools_of
 from metrocli.tasks.calibrate_machine.settings import LENGTHS, PROBING, Settings
 

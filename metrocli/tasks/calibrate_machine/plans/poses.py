@@ -21,8 +21,8 @@ from metrocli.tasks.calibrate_machine.files import Files
 from metrocli.tasks.calibrate_machine.methods.poses import in_degrees, places_read, poses_at, problem_at, without_errors
 from metrocli.tasks.calibrate_machine.plans.planned import Worth, planned, tracker_pose, worth_of
 from metrocli.tasks.calibrate_machine.plans.pose_program import by_set_up, program_of_poses, with_room
+from metrocli.tasks.calibrate_machine.plans.settings import PathPlan
 from metrocli.tasks.calibrate_machine.plans.stops import judged
-from metrocli.tasks.calibrate_machine.plans.wanted import PathPlan
 from metrocli.tasks.calibrate_machine.problem import MachineProblem
 from metrocli.tasks.calibrate_machine.settings import LENGTHS, PROBING, STANDSTILL, Settings
 from metrocli.tasks.calibrate_machine.volume import shares_spread

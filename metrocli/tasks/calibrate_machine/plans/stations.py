@@ -27,8 +27,8 @@ from metrocli.tasks.calibrate_machine.described import machine_of
 from metrocli.tasks.calibrate_machine.files import Files
 from metrocli.tasks.calibrate_machine.methods.lengths import lengths
 from metrocli.tasks.calibrate_machine.plans.planned import PLACES, REST, planned, worth_of
+from metrocli.tasks.calibrate_machine.plans.settings import PathPlan
 from metrocli.tasks.calibrate_machine.plans.stops import all_over, judged, visits
-from metrocli.tasks.calibrate_machine.plans.wanted import PathPlan
 from metrocli.tasks.calibrate_machine.problem import ERROR_BLOCKS, MachineProblem, tools_of
 from metrocli.tasks.calibrate_machine.settings import Settings
 from metrocli.tasks.calibrate_machine.volume import grid_group, grid_of, without_rigid_motion

@@ -27,7 +27,7 @@ from metrocli.tasks.calibrate_machine.plans.planned import (
     tracker_pose,
     worth_of,
 )
-from metrocli.tasks.calibrate_machine.plans.wanted import PathPlan
+from metrocli.tasks.calibrate_machine.plans.settings import PathPlan
 from metrocli.tasks.calibrate_machine.problem import MachineProblem, tools_of
 from metrocli.tasks.calibrate_machine.settings import Settings
 from metrocli.tasks.calibrate_machine.volume import grid_of, spread_over

@@ -12,10 +12,11 @@ from metrocli.tasks.shared.part import Part
 
 
 @dataclass(frozen=True)
-class Joint:
+class JointCovariance:
     """Covariance of corrected points: `C_a K C_b'`, plus P for points of one replay, plus `o_a I` for each point.
 
-    The common part is that of the tracers, the datum and the tips.
+    K is the covariance of what all points share, such as the tracers, the datum and the tips; C are the derivatives by
+    it. A replay is the reflector's stop at the place of a probed point: points that were probed there share its error.
     """
 
     common: Array
@@ -26,30 +27,30 @@ class Joint:
     """Row of the replay of each point (n,)"""
     of_replay: Array
     """P of each replay, (replays, 3, 3)"""
-    own: Array
+    own_variance: Array
     """o, variance of each coordinate of each point (n,)"""
 
-    def each(self) -> Array:
+    def of_points(self) -> Array:
         """Return the covariance of each point, (n, 3, 3)."""
         shared = self.common @ self.core @ np.swapaxes(self.common, 1, 2)
-        return np.asarray(shared + self.of_replay[self.replay] + self.own[:, None, None] * np.eye(3))
+        return np.asarray(shared + self.of_replay[self.replay] + self.own_variance[:, None, None] * np.eye(3))
 
-    def at_reference(self, part: Part, at: Array) -> Joint:
-        """Return the covariance of the points of a part at 20 degC, at (n, 3); they share the error of its growth."""
-        common, core = part.of_factors(at, self.common, self.core)
-        squared = part.shrinkage**2
-        return Joint(common, core, self.replay, self.of_replay * squared, self.own * squared)
+    def at_reference(self, part: Part, points: Array) -> JointCovariance:
+        """Return the covariance of the points (n, 3) of a part at 20 degC; they share the error of its growth."""
+        common, core = part.of_factors(points, self.common, self.core)
+        shrunk = part.shrinkage**2
+        return JointCovariance(common, core, self.replay, self.of_replay * shrunk, self.own_variance * shrunk)
 
     def propagated(self, derivative: Any) -> Array:
-        """Return `D Q D'` for a derivative D (m, 3n) by the coordinates of all points."""
+        """Return `D Q D'` for a sparse derivative D (m, 3n) by the coordinates of all points; Q is never formed."""
         from scipy.sparse import block_diag, csr_array
 
-        n = len(self.own)
-        towards = derivative @ self.common.reshape(3 * n, -1)
-        # sums over the points of each replay: they share its error
-        places = csr_array((np.ones(3 * n), (np.arange(3 * n), (3 * self.replay[:, None] + np.arange(3)).ravel())))
-        grouped = derivative @ places
-        blocks = block_diag(list(self.of_replay[: places.shape[1] // 3]), format="csr")
-        alone = derivative.multiply(np.repeat(self.own, 3)[None, :])
-        rest = grouped @ blocks @ grouped.T + alone @ derivative.T
-        return np.asarray(towards @ self.core @ towards.T + rest.toarray())
+        by_shared = derivative @ self.common.reshape(3 * len(self.replay), -1)
+        # 1 from each coordinate of a point to that of its replay: D times this sums over the points of each replay
+        at_replay = (3 * self.replay[:, None] + np.arange(3)).ravel()
+        entries = np.ones(len(at_replay)), (np.arange(len(at_replay)), at_replay)
+        by_replay = derivative @ csr_array(entries, shape=(len(at_replay), 3 * len(self.of_replay)))
+        replays = block_diag(list(self.of_replay), format="csr")
+        weighted = derivative.multiply(np.repeat(self.own_variance, 3)[None, :])
+        independent = by_replay @ replays @ by_replay.T + weighted @ derivative.T
+        return np.asarray(by_shared @ self.core @ by_shared.T + independent.toarray())

@@ -13,9 +13,9 @@ from metrocli.result import Estimate
 from metrocli.table import Table
 from metrocli.tasks.shared.features.fit import Criterion, FeatureFit, gradients, least_squares
 from metrocli.tasks.shared.features.ideal import NUMBERS, IdealFeature
-from metrocli.tasks.shared.features.joint import Joint
+from metrocli.tasks.shared.features.joint import JointCovariance
 from metrocli.tasks.shared.features.minimum_zone import minimum_zone
-from metrocli.tasks.shared.features.wanted import RequestedFeature
+from metrocli.tasks.shared.features.requested import RequestedFeature
 from metrocli.tasks.shared.rounding import rounding_of, without_rounding
 from metrocli.words import listed
 
@@ -39,7 +39,7 @@ _WITHOUT = {
 
 
 def fitted(
-    wanted: Sequence[RequestedFeature], corrected: Table, joint: Joint
+    wanted: Sequence[RequestedFeature], corrected: Table, joint: JointCovariance
 ) -> tuple[dict[str, Table], dict[str, Array], Array]:
     """Return the tables of features and of their points, and the covariance of all numbers of all features.
 
@@ -123,9 +123,9 @@ def exchanging(tables: Mapping[str, Table]) -> tuple[str, ...]:
     )
 
 
-def _exchanges(each: Sequence[tuple[RequestedFeature, FeatureFit]], points: Array, joint: Joint) -> Index:
+def _exchanges(each: Sequence[tuple[RequestedFeature, FeatureFit]], points: Array, joint: JointCovariance) -> Index:
     """Return how many further points the errors can bring to the limits of each minimum zone, (F,)."""
-    covariance, counts = joint.each(), np.zeros(len(each), dtype=np.intp)
+    covariance, counts = joint.of_points(), np.zeros(len(each), dtype=np.intp)
     for number, (feature, fit) in enumerate(each):
         if fit.contact is None:
             continue

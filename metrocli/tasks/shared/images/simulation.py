@@ -15,7 +15,7 @@ from metrocli.effects.estimates import true_values
 from metrocli.effects.extension import extended
 from metrocli.effects.links.lens_shape import KnownShape, shifted, unshifted
 from metrocli.effects.model import Model
-from metrocli.effects.wanted import Wanted
+from metrocli.effects.requested import RequestedEffect
 from metrocli.errors import InputError, UsageError
 from metrocli.frozen import dataclass
 from metrocli.geometry import poses
@@ -175,7 +175,7 @@ def image_group(cameras: Sequence[SimulatedCamera], seen: ExactImagePoints, chai
 
 
 def planted(
-    model: Model, seen: ExactImagePoints, effects: Sequence[Wanted]
+    model: Model, seen: ExactImagePoints, effects: Sequence[RequestedEffect]
 ) -> tuple[ExactImagePoints, dict[str, float]]:
     """Return the image points with effects in them, and the true values of the effects by name.
 
@@ -187,7 +187,7 @@ def planted(
     return replace(seen, uv=_image_points(model)), true_values(model)
 
 
-def refuse_pictures(effects: Sequence[Wanted]) -> None:
+def refuse_pictures(effects: Sequence[RequestedEffect]) -> None:
     """Raise UsageError if there are effects: they are planted in image points, not in rendered pictures."""
     if effects:
         raise UsageError("effects are planted in image points, not in pictures: leave out --images or --effect")

@@ -33,7 +33,7 @@ class PlaceName:
 
 
 @dataclass(frozen=True)
-class Wanted:
+class RequestedEffect:
     """An effect to add to a model: parameters with a value are applied, the others are estimated."""
 
     forms: tuple[Effect, ...]
@@ -53,7 +53,7 @@ class Wanted:
         """The name of the effect."""
         return self.forms[0].name
 
-    def same_as(self, other: Wanted) -> bool:
+    def same_as(self, other: RequestedEffect) -> bool:
         """Whether another one is a duplicate: same name, place, forms and values.
 
         An effect with a given value and one that is estimated in addition to it are not duplicates.
@@ -67,14 +67,14 @@ class Wanted:
         )
 
 
-def read(table: Sequence[Effect], nodes: Sequence[Node], faults: list[Fault]) -> tuple[Wanted, ...]:
+def read(table: Sequence[Effect], nodes: Sequence[Node], faults: list[Fault]) -> tuple[RequestedEffect, ...]:
     """Return the effects that the nodes name; append to `faults` each wrong name, key or value."""
-    requested = [_read(table, node, faults) for node in nodes]
-    listed = tuple(wanted for wanted in requested if wanted is not None)
-    for number, entry in enumerate(listed):
-        if any(entry.same_as(other) for other in listed[:number]):
-            faults.append(entry.node.fault(f"{entry.name} is listed twice", "leave one of them out"))
-    return listed
+    entries = (_read(table, node, faults) for node in nodes)
+    requests = tuple(request for request in entries if request is not None)
+    for number, request in enumerate(requests):
+        if any(request.same_as(other) for other in requests[:number]):
+            faults.append(request.node.fault(f"{request.name} is listed twice", "leave one of them out"))
+    return requests
 
 
 def names_of(nodes: Iterable[Node]) -> frozenset[str]:
@@ -82,7 +82,7 @@ def names_of(nodes: Iterable[Node]) -> frozenset[str]:
     return frozenset(name.text for node in nodes if (name := node.get("name")) is not None)
 
 
-def _read(table: Sequence[Effect], node: Node, faults: list[Fault]) -> Wanted | None:
+def _read(table: Sequence[Effect], node: Node, faults: list[Fault]) -> RequestedEffect | None:
     name = node.get("name")
     if name is None or name.kind != "scalar":
         faults.append(node.fault(f"{node.path}: an effect needs a name", "write {name: ..., ...}"))
@@ -102,10 +102,10 @@ def _read(table: Sequence[Effect], node: Node, faults: list[Fault]) -> Wanted | 
         faults.extend(fewest)
         return None
     where = {key: fitting[0][1].pop(key) for key in fitting[0][0].where if key != "by"}
-    return Wanted(tuple(effect for effect, _ in fitting), where, fitting[0][1], node)
+    return RequestedEffect(tuple(effect for effect, _ in fitting), where, fitting[0][1], node)
 
 
-def _at_all_places(forms: Sequence[Effect], node: Node, faults: list[Fault]) -> Wanted | None:
+def _at_all_places(forms: Sequence[Effect], node: Node, faults: list[Fault]) -> RequestedEffect | None:
     """Return an effect with sizes of its own at every place: {name, std}."""
     spec = forms[0].common
     for written, _ in node.entries:
@@ -122,7 +122,7 @@ def _at_all_places(forms: Sequence[Effect], node: Node, faults: list[Fault]) -> 
     if not std > 0:
         faults.append(node.fault(f"{forms[0].name}: std is not above zero", "write std: a standard deviation"))
         return None
-    return Wanted(tuple(forms), {}, {}, node, float(std))
+    return RequestedEffect(tuple(forms), {}, {}, node, float(std))
 
 
 def _as(effect: Effect, node: Node) -> tuple[dict[str, Any], list[Fault]]:
@@ -150,7 +150,7 @@ def _as(effect: Effect, node: Node) -> tuple[dict[str, Any], list[Fault]]:
     return {key: value for key, value in values.items() if value is not BAD}, faults
 
 
-def planted(wanted: Iterable[Wanted]) -> tuple[Wanted, ...]:
+def planted(requests: Iterable[RequestedEffect]) -> tuple[RequestedEffect, ...]:
     """Return the effects that a simulation contains: those whose parameters all have a value.
 
     Effects that the job only estimates, and correlated errors, are left out. Raises InputError if an effect on the
@@ -158,23 +158,23 @@ def planted(wanted: Iterable[Wanted]) -> tuple[Wanted, ...]:
     """
     missing = [
         (request, [p.name for p in request.forms[0].parameters if p.name not in request.values])
-        for request in wanted
+        for request in requests
         if request.correlation is None
     ]
     faults = [
-        parameter.node.fault(f"{parameter.name}: {', '.join(names)} missing", _to_plant(parameter))
-        for parameter, names in missing
-        if names and parameter.node.line is None
+        request.node.fault(f"{request.name}: {', '.join(names)} missing", _to_plant(request))
+        for request, names in missing
+        if names and request.node.line is None
     ]
     if faults:
         raise InputError(faults)
-    return tuple(parameter for parameter, names in missing if not names)
+    return tuple(request for request, names in missing if not names)
 
 
-def _to_plant(wanted: Wanted) -> str:
+def _to_plant(request: RequestedEffect) -> str:
     """Return what to write so that a simulation contains an effect."""
-    effect = wanted.forms[0]
-    if not wanted.std:
+    effect = request.forms[0]
+    if not request.std:
         return "a simulation needs a value for every parameter"
     drawn = f"; a scatter {effect.everywhere} is `--set noise.{effect.noise}=...`" if effect.noise else ""
     named = "".join(f": name one {key}, and a value for every parameter" for key in effect.keys)

@@ -26,7 +26,7 @@ class RequestedFeature:
     rows: Index
 
 
-def wanted_features(
+def requested_features(
     features: Mapping[str, LocatedValue], points: Table | None, key: str = "probing"
 ) -> tuple[RequestedFeature, ...]:
     """Return the features of a job; raises InputError for those without points or with too few.

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from metrocli.result import Result
 
 
-def held(file: Path) -> tuple[Result, Record]:
+def opened_result(file: Path) -> tuple[Result, Record]:
     """Return a result and its record; print to stderr why it is not fit for use, if it is not."""
     from metrocli.formats import hdf5
 
