@@ -64,6 +64,8 @@ def test_distances_noisier_than_declared_or_poses_that_are_off_are_indistinct() 
     assert (effect["name"], effect["where"]) == ("bad-pose", {})
     (rival,) = effect["alternatives"]
     assert (rival["name"], rival["where"]) == ("noise", {"reading": "distance"})
+    # the keys of all alternatives
+    assert rival["correlation"] is None and rival["odds"] > 0.05
     assert "noise of distance" in of_diagnosis(found, None)
 
 
