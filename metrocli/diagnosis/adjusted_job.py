@@ -183,8 +183,8 @@ class AdjustedJob:
 
     @property
     def reading(self) -> tuple[str, str]:
-        """Unit and dimension in which errors of readings are reported: those of the first group."""
-        return REPORTED[self.model.readings[0].observations.unit]
+        """Unit and dimension in which errors of readings are reported: those of the first component."""
+        return REPORTED[self.model.readings[0].observations.unit_of_each[0]]
 
     @property
     def declares_noise(self) -> bool:

@@ -5,7 +5,6 @@ Method: docs/algorithms/evidence.md.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -112,7 +111,7 @@ def _correlated(state: State, number: int) -> CorrelatedError:
     gain = state.score + component.price - less.score
     without = (move for move in effects(less) if move.net > 0)
     functions = m.knots[component.key[0]].functions
-    unit, rows = _showing(state, less, component, list(functions.sigmas))
+    unit, rows = _showing(state, less, component)
     visible = _visible(state, component)
     std = float(np.sqrt(np.exp(state.logs[number]) * state.fit.squares / state.fit.dof)) * functions.sigmas[unit]
     if len(functions.sigmas) > 1:
@@ -138,12 +137,10 @@ def _correlated(state: State, number: int) -> CorrelatedError:
     )
 
 
-def _showing(state: State, less: State, part: Random, units: Sequence[str]) -> tuple[str, Mask]:
+def _showing(state: State, less: State, part: Random) -> tuple[str, Mask]:
     """Return the unit of the readings that show most of a part, which `less` is without, and their rows."""
-    system, own = state.measurement.system, part.columns.any(axis=1)
-    rows = {unit: np.zeros(system.rows, dtype=bool) for unit in units}
-    for group in system.model.readings:
-        rows[group.observations.unit] |= system.rows_of(group) & own
+    own = part.columns.any(axis=1)
+    rows = {unit: mask & own for unit, mask in state.measurement.system.rows_in_units.items()}
     change = less.residual - state.residual
     return max(rows.items(), key=lambda one: float((change[one[1]] ** 2).sum()))
 

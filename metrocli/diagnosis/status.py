@@ -33,7 +33,7 @@ class Status(StrEnum):
 
 
 UNCHECKED = "no reading is checked by the others"
-_ENDED = "the search ended before this was decided"
+ENDED = "the search ended before this was decided"
 _SWALLOWED = 0.1
 """Share of a signature that correlated errors and other effects must leave, so that the readings separate it"""
 _SMALLEST = 0.01
@@ -92,7 +92,7 @@ def reason_of_scatter(candidate: ScatterCandidate, word: str) -> str:
     if word == Status.NOT_TESTABLE:
         return candidate.reason
     if word == Status.NOT_DECIDED:
-        return _ENDED
+        return ENDED
     least = candidate.effect.parameters[0].sized(candidate.detectable)
     message = "excluded above" if word == Status.EXCLUDED else "detected from"
     return f"{message} a standard deviation of {least}"
@@ -123,7 +123,7 @@ def reason(candidate: DetectableCandidate, word: str, structure: Sequence[str] =
     if word == Status.NOT_DECIDED and candidate.required:
         return "its evidence would name it, but held-out readings do not confirm it or what stands for it"
     if word == Status.NOT_DECIDED:
-        return _ENDED
+        return ENDED
     size, unit = parameter.readable(excluded_above(candidate))
     if word == Status.CANNOT_SEE and is_swallowed(candidate):
         what = f"structure in {' and '.join(structure)}" if structure else "what was found"
@@ -185,7 +185,7 @@ def candidates(
     names = list(named)
     words = ((candidate, status(candidate, names, decided)) for candidate in design.candidates)
     tested = [_candidate(job, candidate, word, design.structure) for candidate, word in words]
-    readings = [_wrong_reading(job, reading) for reading in design.readings]
+    readings = [_wrong_reading(job, reading, decided) for reading in design.readings]
     missing = [
         _open(untested.effect, untested.where, Status.NOT_TESTED, untested.reason) for untested in design.not_tested
     ]
@@ -203,7 +203,7 @@ def _throughout(job: AdjustedJob, scatter: ScatterCandidate, word: str) -> dict[
     return entry | {"minimal_detectable": least, "above": least, "hides": _hides(job, scatter.undetected)}
 
 
-def _wrong_reading(job: AdjustedJob, reading: WrongReading) -> dict[str, Any]:
+def _wrong_reading(job: AdjustedJob, reading: WrongReading, decided: bool) -> dict[str, Any]:
     unchecked = f"; {reading.unchecked} readings cannot be checked" if reading.unchecked else ""
     if not reading.testable:
         return _open(reading.effect, {}, Status.NOT_TESTABLE, UNCHECKED)
@@ -211,7 +211,9 @@ def _wrong_reading(job: AdjustedJob, reading: WrongReading) -> dict[str, Any]:
         "wrong readings are listed as outliers; minimal_detectable is that of the median reading, above that of the "
     )
     words += f"one that is checked least{unchecked}"
-    return _open(reading.effect, {}, Status.EXCLUDED, words) | {
+    if not decided:
+        words = ENDED
+    return _open(reading.effect, {}, Status.EXCLUDED if decided else Status.NOT_DECIDED, words) | {
         "minimal_detectable": {"value": reading.detectable, "unit": reading.effect.parameters[0].unit},
         "above": {"value": reading.between[1], "unit": reading.effect.parameters[0].unit},
         "hides": _hides(job, reading.undetected),

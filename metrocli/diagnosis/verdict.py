@@ -184,7 +184,7 @@ def _scatter(job: AdjustedJob, scatter: RandomEffect) -> dict[str, Any]:
         "where": {},
         "parameters": {"std": {"value": scatter.std, "std": scatter.spread, "unit": effect.parameters[0].unit}},
         "p_value": float(np.exp(scatter.log_level)),
-        "alternatives": [asdict(rival) for rival in scatter.rivals],
+        "alternatives": [asdict(rival) | {"correlation": None} for rival in scatter.rivals],
         "other_shape_from": None,
         "gain": _gain(scatter.gain, job) | {"result_shift": delivered(job, scatter.shift)},
     }

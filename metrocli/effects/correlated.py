@@ -145,13 +145,13 @@ def _stds(text: str, groups: Sequence[Group]) -> list[float] | None:
     """Return the size in the unit of each group: one for all in units of their noise; None if it is in none of them."""
     typical = [float(np.median(group.observations.deviations)) for group in groups]
     for name in units.DIMENSIONS:
-        of_unit = [at for at, one in enumerate(groups) if one.observations.unit == units.internal_unit(name)]
-        if of_unit:
+        of_unit = np.concatenate([one.observations.deviations_in(units.internal_unit(name)) for one in groups])
+        if len(of_unit):
             try:
                 size = units.parse_quantity(text, name)
             except units.QuantityError:
                 continue
-            own = float(np.median(np.concatenate([groups[at].observations.deviations.ravel() for at in of_unit])))
+            own = float(np.median(of_unit))
             if 0 < size <= _MOST * own:
                 return [size / own * each for each in typical]
     return None

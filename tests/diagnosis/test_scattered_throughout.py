@@ -11,7 +11,7 @@ from benchmarks.hidden import images, launch
 from benchmarks.hidden.scenes import part_scene
 from metrocli.cli.diagnosis_report.candidates import candidate_lines
 from metrocli.cli.diagnosis_report.findings import of_diagnosis
-from metrocli.diagnosis.detectability import Detectability
+from metrocli.diagnosis.detectability import Detectability, WrongReading
 from metrocli.diagnosis.diagnose import diagnose
 from metrocli.diagnosis.evidence.measured_job import measurement_of
 from metrocli.diagnosis.evidence.state import State
@@ -67,6 +67,8 @@ def test_distances_noisier_than_declared_or_poses_that_are_off_are_indistinct() 
     assert (effect["name"], effect["where"]) == ("bad-pose", {})
     (rival,) = effect["alternatives"]
     assert (rival["name"], rival["where"]) == ("noise", {"reading": "distance"})
+    # the keys of all alternatives
+    assert rival["correlation"] is None and rival["odds"] > 0.05
     assert "noise of distance" in of_diagnosis(found, None)
 
 
@@ -105,14 +107,15 @@ def test_one_bad_pose_and_none_are_no_scatter() -> None:
     assert [str(one.effect.alternative) for one in found.findings] == ["bad-pose P7"] and not found.scatters
 
 
-def test_a_search_that_ended_early_excludes_no_scatter() -> None:
+def test_a_search_that_ended_early_excludes_no_scatter_and_no_wrong_reading() -> None:
     """What the search did not reach is neither there nor excluded."""
     job = launch.measurement(np.random.default_rng(7), True).adjusted()
     effect = next(effect for effect in OF_LENGTHS if effect.throughout)
     sought = ScatterCandidate(effect, effect.plausible / 2, UndetectedBias(0.0))
-    design = Detectability((), (), (), scatters=(sought,))
+    single = next(effect for effect in OF_LENGTHS if effect.of_one_reading)
+    wrong = WrongReading(single, 0.01, (0.01, 0.02), UndetectedBias(0.0), 0)
+    design = Detectability((), (), (), (wrong,), (sought,))
     for decided, word in ((True, "excluded"), (False, "not-decided")):
-        (entry,) = candidates(job, design, [], (), decided)
-        assert entry["status"] == word
-        line = candidate_lines(job, design, [], (), decided)[1]
-        assert word in line and ("the search ended before this was decided" in line) is not decided
+        assert [entry["status"] for entry in candidates(job, design, [], (), decided)] == [word] * 2
+        for line in candidate_lines(job, design, [], (), decided)[1:]:
+            assert word in line and ("the search ended before this was decided" in line) is not decided

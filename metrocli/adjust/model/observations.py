@@ -75,6 +75,8 @@ class Observations:
     components: tuple[str, ...] = ("",)
     """Name of each of the d components, e.g. u, v"""
     unit: str = ""
+    units: tuple[str, ...] = ()
+    """Unit of each component where they differ: displacements and angles"""
     lattice: Lattice | None = None
     """The regular order of the readings of a tile; it stands for the `index` of blocks that are not in `index`"""
     _whitening: Array | None = field(default=None, init=False, repr=False)
@@ -95,9 +97,18 @@ class Observations:
         return int(self.readings.shape[1])
 
     @property
+    def unit_of_each(self) -> tuple[str, ...]:
+        """Unit of each component."""
+        return self.units or (self.unit,) * len(self.readings)
+
+    @property
     def deviations(self) -> Array:
         """Standard deviation of each component, (d, n)."""
         return self.sigma if self.covariance is None else np.sqrt(np.einsum("aan->an", self.covariance))
+
+    def deviations_in(self, unit: str) -> Array:
+        """Return the standard deviations of the components in a unit, (numbers,); none if it has no such."""
+        return self.deviations[[own == unit for own in self.unit_of_each]].ravel()
 
     @property
     def _covariances(self) -> Array:

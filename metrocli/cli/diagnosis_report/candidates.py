@@ -46,7 +46,7 @@ def candidate_lines(
     for scatter in design.scatters:
         word = status.status_of_scatter(scatter, scattered, decided)
         lines.append(_of_scatter(adjusted, scatter, word, named is None))
-    lines += [_of_readings(adjusted, reading, named is None) for reading in design.readings]
+    lines += [_of_readings(adjusted, reading, named is None, decided) for reading in design.readings]
     alike: dict[tuple[str, str], list[str]] = {}
     for untested in design.not_tested:
         alike.setdefault((untested.effect.form, untested.reason), []).append("/".join(untested.where.values()))
@@ -121,12 +121,13 @@ def _of_scatter(adjusted: AdjustedJob, scatter: ScatterCandidate, word: str, ope
     return scatter.effect.name, "everywhere", message, usual, hides, why or "sizes are standard deviations"
 
 
-def _of_readings(adjusted: AdjustedJob, wrong: WrongReading, open_yet: bool) -> tuple[str, ...]:
+def _of_readings(adjusted: AdjustedJob, wrong: WrongReading, open_yet: bool, decided: bool) -> tuple[str, ...]:
     name = wrong.effect.name
     if not wrong.testable:
         return name, "one reading", str(status.Status.NOT_TESTABLE), "", "", status.UNCHECKED
-    word = _status("detectable" if open_yet else status.Status.EXCLUDED, wrong.between, wrong.effect.parameters[0])
-    why = "larger ones are listed as wrong readings"
+    word = "detectable" if open_yet else str(status.Status.EXCLUDED if decided else status.Status.NOT_DECIDED)
+    word = _status(word, wrong.between if decided else (), wrong.effect.parameters[0])
+    why = "larger ones are listed as wrong readings" if decided else status.ENDED
     why += f"; {wrong.unchecked} readings are checked by no other" if wrong.unchecked else ""
     return name, "one reading", word, "", _hidden(adjusted, wrong.undetected), why
 

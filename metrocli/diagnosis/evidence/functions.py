@@ -80,7 +80,7 @@ def _basis(job: AdjustedJob, system: Linearised, covariate: Covariate, by: str) 
             np.multiply(values, (deviations / system.scale[rows])[:, None], out=terms[rows])
             np.add((place + label * count).astype(np.int32)[:, None], knots, out=numbers[rows])
             place += units * count
-            of_copies += [group.observations.unit] * units
+            of_copies += [group.observations.unit_of_each[component]] * units
     # of many readings these are large
     del smooth, functions, values, knots
     ends = np.arange(0, terms.size + 1, each, dtype=np.int32)
@@ -92,8 +92,7 @@ def _basis(job: AdjustedJob, system: Linearised, covariate: Covariate, by: str) 
 
 def _typical(job: AdjustedJob, unit: str) -> float:
     """Return the median of the declared standard deviations of the readings in a unit."""
-    alike = [group.observations for group in job.model.readings if group.observations.unit == unit]
-    return float(np.median(np.concatenate([one.deviations.ravel() for one in alike])))
+    return float(np.median(np.concatenate([group.observations.deviations_in(unit) for group in job.model.readings])))
 
 
 def _labels(job: AdjustedJob, group: Group, by: str) -> Index:

@@ -83,7 +83,11 @@ class Fold:
 
     def holds(self, part: Fixed) -> bool:
         """Return whether a part is the error of a held-out reading."""
-        return part.is_reading and bool(self.mask[self.measurement.places[part.number]].any())
+        if not part.is_reading:
+            return False
+        rows = self.measurement.places[part.number]
+        # -1 where it has fewer components than others: that is no row
+        return bool(self.mask[rows[rows >= 0]].any())
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.linear.candidates import Candidate, CandidateGroup
 from metrocli.diagnosis.linear.column_parts import OwnColumns
 from metrocli.diagnosis.linear.quadratics import quadratic
-from metrocli.diagnosis.linear.scans import is_filled, thinned
+from metrocli.diagnosis.linear.scans import conditions_of, is_filled, thinned
 from metrocli.diagnosis.linear.signatures import signature
 from metrocli.effects.links.own import NoValueAtReadingError
 from metrocli.frozen import dataclass
@@ -132,8 +132,7 @@ class _Scan:
         tried = np.unique([dict(alternative.scanned)[self.name] for alternative in alike])
         own = dict(start.scanned)[self.name]
         low, high = tried[tried < own].max(initial=-np.inf), tried[tried > own].min(initial=np.inf)
-        conditions = self.less.measurement.job.model.readings[0].observations.conditions
-        values = np.sort(parameter.grid(conditions))
+        values = np.sort(parameter.grid(conditions_of(self.less.measurement.job.model)))
         inside = np.flatnonzero((values > low) & (values < high))
         # a step lies between two readings: values between these are all the same step
         if start.effect.is_step or not len(inside):

@@ -270,14 +270,17 @@ def _at(job: AdjustedJob, system: Linearised, acting: Acting) -> tuple[Array, di
                 variable.blocks
             )
             if name in own or name.startswith("beam_") or not there:
-                partly |= {name} if variable.of_data else set()
+                partly.add(name)
                 continue
             full = np.broadcast_to(variable.at(value, local).value[0], (n,))
             moved = full - variable.at(value_listed, before).value[0]
             # the height of a target of a flat board is what the residuals made of it
             if np.isfinite(full).all() and moved.std() <= _ESTIMATED * full.std():
                 values[name] = values.get(name, np.zeros(system.rows)) + system.spread(group, np.array(full))
+            else:
+                partly.add(name)
     acting_on = np.flatnonzero(whole.any(axis=1))
+    # lengths may have no time beside sightings that have one: there a formula has no value, not that of 0
     seen = {name: one[acting_on] for name, one in values.items() if name not in partly}
     chosen = kept(seen, {name for name, one in known.items() if one.of_data})
     return whole, {name: values[name] for name in chosen}

@@ -247,11 +247,7 @@ def _showing(system: Linearised, explained: Array) -> tuple[str, Mask]:
 
     Angles may show nothing of a law of distances.
     """
-    of_unit: dict[str, Mask] = {}
-    for group in system.model.readings:
-        unit = group.observations.unit
-        of_unit[unit] = of_unit.get(unit, np.zeros(system.rows, dtype=bool)) | system.rows_of(group)
-    return max(of_unit.items(), key=lambda one: float((explained[one[1]] ** 2).sum()))
+    return max(system.rows_in_units.items(), key=lambda one: float((explained[one[1]] ** 2).sum()))
 
 
 _LEAST, _MOST = 0.9, 2

@@ -104,11 +104,18 @@ class Linearised:
     @cached_property
     def alike(self) -> Mask:
         """The rows whose readings have the unit of the first group, in which errors are reported."""
-        first, mask = self.model.readings[0].observations.unit, np.zeros(self.rows, dtype=bool)
+        return self.rows_in_units[self.model.readings[0].observations.unit_of_each[0]]
+
+    @cached_property
+    def rows_in_units(self) -> Mapping[str, Mask]:
+        """The rows of the readings, or of their components, in each internal unit."""
+        found: dict[str, Mask] = {}
         for group in self.model.readings:
-            start = self.first[group.name]
-            mask[start : start + group.observations.readings.size] = group.observations.unit == first
-        return mask
+            names = np.array(group.observations.unit_of_each)
+            for unit in dict.fromkeys(names.tolist()):
+                mask = found.setdefault(unit, np.zeros(self.rows, dtype=bool))
+                mask[self.rows_of(group)] = np.tile(names == unit, group.observations.count)
+        return found
 
     @cached_property
     def times(self) -> Array:

@@ -40,10 +40,17 @@ def scans(model: Model, effect: Effect, rows: int) -> list[dict[str, float]]:
             # from the second place on: what acts from the first one on acts on all
             values = np.arange(1.0, len(model.places[parameter.place].names))
         elif parameter.grid is not None:
-            grid = parameter.grid(model.readings[0].observations.conditions)
+            grid = parameter.grid(conditions_of(model))
             values = thinned(grid, parameter.tried if effect.is_step else min(parameter.tried, _of_each(effect, rows)))
         grids.append([(parameter.name, float(value)) for value in values])
     return [dict(combination) for combination in itertools.product(*grids)]
+
+
+def conditions_of(model: Model) -> Mapping[str, Array]:
+    """Return the conditions of all readings, (..., n) each: some may have no distance, but all have times."""
+    every = [group.observations.conditions for group in model.readings]
+    names = dict.fromkeys(name for conditions in every for name in conditions)
+    return {name: np.concatenate([one[name] for one in every if name in one], axis=-1) for name in names}
 
 
 def thinned(values: Array, most: int) -> Array:
@@ -92,7 +99,7 @@ def scanned_columns(
         return
     parameter = effect.scanned[0]
     assert parameter.grid is not None
-    grid = np.sort(parameter.grid(model.readings[0].observations.conditions))
+    grid = np.sort(parameter.grid(conditions_of(model)))
     seen, sketches = sketch_vectors(system), dict[float, list[Array]]()
     # the values of the user are only where it begins: a wave between two of them would be missed
     # (docs/decisions/130-dense-scans.md)

@@ -255,3 +255,11 @@ def test_errors_of_single_members_stand_in_their_own_rows() -> None:
     m, (_, random, _) = measurement(BOARD), parts(BOARD)
     assert [one.local for one in random] == [True, False, False]
     assert local_columns(m, random).shape[1] == random[0].columns.shape[1]
+
+
+def test_a_reading_of_fewer_components_is_held_out_with_its_own_rows_only() -> None:
+    m = measurement(NETWORK)
+    padded = replace(m, places=np.pad(m.places, ((0, 0), (0, 1)), constant_values=-1))
+    last = Fold(padded, np.array([m.system.rows - 1]))
+    assert not last.holds(padded.reading(7))
+    assert Fold(padded, padded.places[7][:1]).holds(padded.reading(7))

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from simulated import lengths as simulated_lengths
+from simulated.network import network
 
 from benchmarks.hidden import launch
 from benchmarks.hidden import lengths as simulated
@@ -37,6 +38,8 @@ from metrocli.expressions.derivatives import Jets
 from metrocli.expressions.dimensions import compound
 from metrocli.expressions.expression import parse
 from metrocli.project import yaml_text
+from metrocli.project.diagnosed import adjusted_job_of
+from metrocli.project.job import load
 from metrocli.tasks import KINDS
 
 TASK = KINDS["multilaterate"].task()
@@ -264,3 +267,12 @@ def test_terms_at_a_place_take_the_memory_of_its_readings_only(monkeypatch: pyte
     places = {term.spot.where for terms in library.terms for term in terms}
     assert len(places) == 1 + len(measured.tracers)
     assert numbers <= 100_000 < sum(len(terms) for terms in library.terms) * system.rows
+
+
+def test_a_formula_has_a_value_at_all_readings_on_which_it_acts(tmp_path: Path) -> None:
+    """Interferometers without times beside a tracker with times: both read the points, one the directions."""
+    net = replace(network(np.random.default_rng(61), 3, 14, mixed=True), times=True)
+    job = adjusted_job_of(load(net.write(tmp_path)))
+    library = Library(job, linearised(job.model), ())
+    known = {carrier.spot.acting.name: set(carrier.values) for carrier in library._carriers}
+    assert "t" in known["point-in-tracker"] and "t" not in known["point-in-machine"]

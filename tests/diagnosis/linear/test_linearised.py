@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from benchmarks.hidden import lengths
+from benchmarks.hidden_effects import KINDS
 from metrocli.adjust.schur.layout import without_elimination
+from metrocli.diagnosis.evidence.functions import process_bases
 from metrocli.diagnosis.linear.linearised import linearised
 from metrocli.diagnosis.linear.projection import scatter
 from metrocli.effects.model import Model
@@ -72,3 +74,17 @@ def test_own_change_is_the_part_of_the_whole_change() -> None:
     for at, (member, numbers) in enumerate(zip(system.basis.member[rows], places, strict=True)):
         if member >= 0 and (numbers >= 0).all():
             assert np.allclose(own[at], whole[numbers, at], rtol=1e-8, atol=1e-10)
+
+
+def test_displacements_and_angles_of_one_reading_are_of_two_units() -> None:
+    """A laser for six degrees of freedom: errors in um are those of displacements, not mixed with 1e-6 rad as mm."""
+    job = KINDS["six-dof"].case(5, True).adjusted()
+    (group,) = job.model.readings
+    system = linearised(job.model)
+    angle = np.tile([False] * 3 + [True] * 3, group.observations.count)
+    assert job.reading == ("um", "length")
+    assert (system.alike[system.rows_of(group)] == ~angle).all() and not system.alike[~system.measured].any()
+    functions = next(process_bases(job, system))
+    scale = system.scale[system.rows_of(group)]
+    expected = {"mm": np.median(scale[~angle]), "rad": np.median(scale[angle])}
+    assert functions.sigmas == pytest.approx(expected)

@@ -9,7 +9,7 @@ import pytest
 
 from metrocli.arrays import Array
 from metrocli.diagnosis.linear.scans import most_tried, scans
-from metrocli.effects.effect import Effect, Parameter
+from metrocli.effects.effect import Effect, Parameter, change_points
 
 ROWS, PARAMETERS = 2560, 6
 GRID: Array = np.linspace(15.0, 34.0, 31)
@@ -35,3 +35,12 @@ def test_all_combinations_of_several_scanned_numbers_fit_in_memory(scanned: int)
         assert min(values) == GRID[0] and max(values) == GRID[-1]
         if scanned > 1:  # values in between are tried for a single one only
             assert len(values) <= most_tried(effect(scanned), ROWS)
+
+
+def test_steps_begin_at_any_time_of_all_groups_of_readings() -> None:
+    """Distances of the first stations only, angles of all: what moved later moved at a time of angles."""
+    times = [np.array([0.0, 10.0, 20.0]), np.array([0.0, 10.0, 30.0, 40.0])]
+    groups = [SimpleNamespace(observations=SimpleNamespace(conditions={"t": own})) for own in times]
+    step = Effect("moved", "", (Parameter("dx"),), by="t", scanned=(Parameter("at", "time", grid=change_points),))
+    found = scans(SimpleNamespace(readings=groups, places={}), step, ROWS)
+    assert [one["at"] for one in found] == [5.0, 15.0, 25.0, 35.0]

@@ -73,6 +73,7 @@ def six_dof(settings: Settings, table: Table) -> MachineProblem:
         | approach(machine, lines),
         components=CHANNELS if alone is None else (TURN if machine.turns else DISPLACEMENT,),
         unit="rad" if machine.turns else "mm",
+        units=("mm",) * 3 + ("rad",) * 3 if alone is None else (),
     )
     readings = Group(READINGS, line_chain(machine, alone is not None), observations)
     free: Mask | bool = True
