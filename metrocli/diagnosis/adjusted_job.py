@@ -138,8 +138,6 @@ class AdjustedJob:
     delivered: Delivered
     refit: Callable[[Model, Mapping[str, Mask]], Solution]
     """Adjusts a model derived from this one to some of the readings of each group"""
-    replicates: Mapping[str, Index] = field(default_factory=dict)
-    """For each group a label (n,) that is shared by readings repeated under the same conditions"""
     list_offset: float = 0.0
     """Distance of places from where the files list them, relative to what is plausible; above 1 a file is wrong"""
     fewest: int = 3

@@ -26,14 +26,13 @@ from metrocli.diagnosis.evidence.search import pruned
 from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.explanations import correlated_errors, noise_instead, random_effects, smooth, with_confirmed
 from metrocli.diagnosis.extended_fit import extended_fit, readings_kept, result_changes, sizes
-from metrocli.diagnosis.findings import Diagnosis, Finding, Unconfirmed
+from metrocli.diagnosis.findings import Diagnosis, Finding, RemainingStructure, Unconfirmed
 from metrocli.diagnosis.laws.search import Law, with_laws
 from metrocli.diagnosis.linear.memory import as_fits
 from metrocli.diagnosis.linear.projection import Linearised
 from metrocli.diagnosis.linear.signatures import signature
 from metrocli.diagnosis.noise import VarianceGroup, noise_of
 from metrocli.diagnosis.power.collinear import separations
-from metrocli.diagnosis.residual_structure import REPEATS, PureError, RemainingStructure, pure_error
 from metrocli.diagnosis.rounds import searched
 from metrocli.diagnosis.wrong_readings import wrong_readings
 from metrocli.progress import SILENT, Progress
@@ -43,8 +42,6 @@ Attended = Callable[[Callable[[], None]], AbstractContextManager[object]]
 _CORRELATED = 0.005
 """Level below which a correlated error is reported as structure"""
 _LEVEL = -float(np.log(LEVEL))
-_LACK_OF_FIT = 0.005
-"""Level of the lack-of-fit test of repeated readings below which structure is reported"""
 LIMIT = 120.0
 """CPU time for all searches [s]"""
 
@@ -87,7 +84,7 @@ def diagnose(
     fit = extended_fit(first.measurement.job, names, kept) if names else None
     # to first order in a quick diagnosis: each takes an adjustment
     shifts = [None] * len(names) if quick else result_changes(first.measurement.job, names, fit, kept)
-    correlated, repeats, scattered = correlated_errors(state), pure_error(state), random_effects(state)
+    correlated, scattered = correlated_errors(state), random_effects(state)
     parts: list[Fixed | Random] = [*state.named, *(part for part in state.random if part.kind == SCATTER)]
     whole = gain_of_parts(state, parts) if scattered else None
     noise = noise_of(
@@ -101,7 +98,7 @@ def diagnose(
         outliers=wrong_readings(state),
         findings=tuple(_findings(state, zip(names, gained, shifts, strict=False), noise.ratio)),
         # the last gain is that of all names together
-        left=_left(state, correlated, laws, repeats, whole or gained[-1] if names else whole, unconfirmed),
+        left=_left(state, correlated, laws, whole or gained[-1] if names else whole, unconfirmed),
         before=strongest(first),
         after=strongest(state),
         design=Detectability((), (), ()) if quick else design(state, noise.ratio),
@@ -109,7 +106,6 @@ def diagnose(
         adjusts=fit is not None or not names,
         together=gained[-1] if len(names) > 1 else None,
         whole=whole,
-        repeats=repeats,
         scatters=scattered,
         unconfirmed=unconfirmed,
         laws=laws,
@@ -206,16 +202,15 @@ def _left(
     state: State,
     correlated: Sequence[CorrelatedError],
     laws: Sequence[Law],
-    repeats: PureError | None,
     gain: Gain | None,
     unconfirmed: Sequence[Unconfirmed],
 ) -> RemainingStructure | None:
-    """Return what no identified effect explains: a law, a correlated error, or what repeated readings share.
+    """Return what no identified effect explains: a law, an unknown cause, or a correlated error.
 
     A job whose noise is `structured` declares that what its images share varies smoothly with anything. `gain` is that
     of all that is identified.
     """
-    # the most specific first: a law, an unknown cause, a smooth error, and what repeated readings share
+    # the most specific first
     job, misfit = state.measurement.job, gain.before**2 if gain is not None and gain.before else None
     beyond = [error for error in correlated if error.log_level < np.log(_CORRELATED)]
     significant = beyond if job.noise_model != STRUCTURED else []
@@ -250,8 +245,6 @@ def _left(
             smooth / misfit if misfit else None,
             unit=best.unit,
         )
-    if repeats is not None and repeats.lack_of_fit < _LACK_OF_FIT:
-        return RemainingStructure(repeats.lack_of_fit, (REPEATS,))
     # what is not named is not explained: few images confirm nothing, however much they show
     against = [effect.name for effect in unconfirmed if effect.log_score <= 0]
     if (against or job.budget.ended) and (level := strongest(state)) < LEVEL:

@@ -15,7 +15,6 @@ from metrocli.diagnosis.laws.search import Law
 from metrocli.diagnosis.linear.projection import READING
 from metrocli.diagnosis.mistakes import Mistaken
 from metrocli.diagnosis.noise import NoiseRatio, VarianceGroup
-from metrocli.diagnosis.residual_structure import PureError, RemainingStructure
 from metrocli.diagnosis.wrong_readings import Outlier
 from metrocli.effects.effect import Effect
 from metrocli.frozen import dataclass
@@ -40,6 +39,27 @@ class Verdict(StrEnum):
 
 _LITTLE = 0.05
 """Share of a misfit up to which what is left leaves it explained"""
+
+
+@dataclass(frozen=True)
+class RemainingStructure:
+    """Structure that no known effect explains."""
+
+    p_value: float
+    depends_on: tuple[str, ...]
+    where: tuple[str, ...] = ()
+    """The units (tracers, images) whose readings show it; empty if all do"""
+    size: float = 0.0
+    """Its visible size: root mean square over those readings, in their unit"""
+    share: float | None = None
+    """Its share in the squares of held-out errors without the effects; None if none is identified, or if it shows in
+    readings of another unit than these errors"""
+    beside: float = 0.0
+    """Share of errors that vary smoothly beside it, and that are left too"""
+    declared: bool = False
+    """Whether the noise that the job declares includes it"""
+    unit: str = ""
+    """Internal unit of these readings; empty for that of the report"""
 
 
 @dataclass(frozen=True)
@@ -142,8 +162,6 @@ class Diagnosis:
     """Gain of all named effects together, if there are several"""
     whole: Gain | None = None
     """Gain of all named effects and of those at all their places together, if there are such"""
-    repeats: PureError | None = None
-    """The noise found from repeated readings, if there are any"""
     scatters: tuple[RandomEffect, ...] = ()
     """Effects at all places of a kind; all other findings are beside them"""
     unconfirmed: tuple[Unconfirmed, ...] = ()

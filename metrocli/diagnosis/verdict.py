@@ -15,19 +15,18 @@ from metrocli.diagnosis.correlated_error import CorrelatedError
 from metrocli.diagnosis.detectability import Detectability
 from metrocli.diagnosis.evidence.gain import Gain
 from metrocli.diagnosis.evidence.identified import Rival
-from metrocli.diagnosis.findings import Diagnosis, Finding, RandomEffect
+from metrocli.diagnosis.findings import Diagnosis, Finding, RandomEffect, RemainingStructure
 from metrocli.diagnosis.laws.definition import written
 from metrocli.diagnosis.laws.search import Law
 from metrocli.diagnosis.linear.candidates import Candidate
 from metrocli.diagnosis.mistakes import Mistaken
-from metrocli.diagnosis.residual_structure import RemainingStructure
 from metrocli.diagnosis.status import candidates, delivered
 from metrocli.diagnosis.wrong_readings import Outlier
 
 
 def as_data(diagnosis: Diagnosis) -> dict[str, Any]:
     """Return a diagnosis under the keys of the contract, in internal units unless a `unit` stands beside a number."""
-    noise, left, repeats = diagnosis.noise, diagnosis.left, diagnosis.repeats
+    noise, left = diagnosis.noise, diagnosis.left
     return {
         "verdict": diagnosis.verdict,
         "noise": {
@@ -37,7 +36,6 @@ def as_data(diagnosis: Diagnosis) -> dict[str, Any]:
             # a noise that follows the residuals is not declared
             "as_declared": noise.as_declared if diagnosis.job.declares_noise else None,
             "apart": [{unit.key: unit.name, "ratio": unit.ratio} for unit in diagnosis.variance_groups],
-            "repeats": None if repeats is None else {"ratio": repeats.ratio, "lack_of_fit": repeats.lack_of_fit},
         },
         "part": _part(diagnosis.job),
         "limited": diagnosis.limited,

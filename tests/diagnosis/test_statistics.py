@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -10,11 +10,6 @@ import pytest
 from scipy import stats
 
 from benchmarks.hidden import launch, lengths
-from metrocli.adjust.model.blocks import Block
-from metrocli.adjust.model.chain import Chain, LinkContext, Step
-from metrocli.adjust.model.groups import Group
-from metrocli.adjust.model.observations import Observations
-from metrocli.adjust.model.quantities import Quantity
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.detectability import design
 from metrocli.diagnosis.diagnose import diagnose
@@ -27,12 +22,9 @@ from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.linear.candidates import families_of
 from metrocli.diagnosis.linear.counting import effective_number_of_tests
 from metrocli.diagnosis.linear.distributions import chi_interval, log_family, log_tail, noncentrality, single_level
-from metrocli.diagnosis.linear.linearised import linearised
 from metrocli.diagnosis.linear.quadratics import quadratic
 from metrocli.diagnosis.linear.signatures import signature
 from metrocli.diagnosis.power.average_power import size_found
-from metrocli.diagnosis.residual_structure import pure_error
-from metrocli.effects.model import Model
 
 Array = np.typing.NDArray[np.float64]
 
@@ -201,45 +193,6 @@ def test_a_signature_is_the_difference_of_predictions() -> None:
         assert np.allclose(np.linalg.norm(full, axis=0), family.raw[-1])
         whole = family.columns.whole([len(family.alternatives) - 1], system.rows)[:, 0]
         assert np.allclose(system.seen(full), system.seen(whole), atol=1e-9 * family.raw[-1].max())
-
-
-def test_repeated_readings_tell_noise_from_a_wrong_model() -> None:
-    """Twenty places read twice: a straight line through readings of a bent one lacks fit."""
-    rng = np.random.default_rng(3)
-    x = np.repeat(np.linspace(0, 1, 20), 2)
-    for bent in (0.0, 2.0):
-        block = Block("line", np.zeros((1, 2)), ("offset", "slope"))
-        y = 40 * x + 40 * bent * (x - 0.5) ** 2 + rng.normal(size=40)
-        observations = Observations(y[None], np.ones(1), {}, conditions={"x": x})
-        group = Group("readings", Chain((Straight(),)), observations)
-        model = Model({"line": block}, (group,), None, ("readings",))
-        system = linearised(model)
-        bare = replace(adjusted(), model=model, effects=(), covariates=(), units=())
-        one = replace(bare, replicates={"readings": np.repeat(np.arange(20), 2)})
-        found = pure_error(State.of(measurement_of(one)))
-        pairs = y.reshape(20, 2)
-        squares = float(((pairs[:, 0] - pairs[:, 1]) ** 2).sum() / 2)
-        assert found is not None
-        assert found.dof == 20
-        assert np.isclose(found.ratio, np.sqrt(squares / 20))
-        rest = float(system.residual @ system.residual) - squares
-        expected = stats.f.sf(rest / 18 / (squares / 20), 18, 20)
-        assert np.isclose(found.lack_of_fit, expected, rtol=1e-6)
-        assert (found.lack_of_fit < 1e-3) == (bent > 0)
-
-
-@dataclass(frozen=True)
-class Straight:
-    """`y = offset + slope x`."""
-
-    takes = None
-    gives = Quantity.LENGTH
-    blocks = ("line",)
-
-    def step(self, value: Array, local: LinkContext) -> Step:
-        x = local.observations.conditions["x"]
-        terms = np.stack([np.ones_like(x), x])[None]
-        return Step((local.rows("line") * terms[0]).sum(axis=0)[None], by_block={"line": terms})
 
 
 def test_what_a_candidate_explains_is_the_fall_of_the_sum_of_squares() -> None:

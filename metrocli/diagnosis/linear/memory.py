@@ -102,7 +102,6 @@ def part_of(job: AdjustedJob, share: float) -> AdjustedJob | None:
             for covariate in job.covariates
         ),
         folds={name: _some(values, kept.get(name)) for name, values in job.folds.items()},
-        replicates={name: _some(values, kept.get(name)) for name, values in job.replicates.items()},
         part=MemberSubset(block.name, count, len(members)),
     )
 

@@ -65,10 +65,10 @@ def test_a_size_within_the_scatter_of_the_images_has_an_uncertainty_that_shows_i
     assert len(left.named) == 1
     assert names[0].level_of_size > 0.05
     # were it not confirmed, the set would not be clean: what is seen and not named is left
-    structure = _left(State.of(drawn), (), (), None, None, (Unconfirmed("axis-skew", -0.5),))
+    structure = _left(State.of(drawn), (), (), None, (Unconfirmed("axis-skew", -0.5),))
     assert structure is not None and structure.p_value < 1e-4
     assert "axis-skew" in structure.depends_on[0]
-    assert _left(State.of(drawn), (), (), None, None, ()) is None
+    assert _left(State.of(drawn), (), (), None, ()) is None
 
 
 def test_what_another_effect_can_stand_for_leaves_if_its_size_may_be_nothing() -> None:

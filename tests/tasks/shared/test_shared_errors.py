@@ -17,7 +17,7 @@ from simulated import grid, launch, lengths
 
 from benchmarks import shared_errors
 from metrocli.cli.diagnosis_report.findings import of_diagnosis
-from metrocli.diagnosis.residual_structure import RemainingStructure
+from metrocli.diagnosis.findings import RemainingStructure
 from metrocli.errors import UndeterminedError
 from metrocli.formats import csv
 from metrocli.project.diagnosed import carry_out, write_extended
