@@ -34,6 +34,7 @@ class Status(StrEnum):
 
 UNCHECKED = "no reading is checked by the others"
 ENDED = "the search ended before this was decided"
+UNCONFIRMED = "its evidence would name it, but held-out readings do not confirm it or what stands for it"
 _SWALLOWED = 0.1
 """Share of a signature that correlated errors and other effects must leave, so that the readings separate it"""
 _SMALLEST = 0.01
@@ -80,7 +81,7 @@ def status_of_scatter(candidate: ScatterCandidate, named: Sequence[str], decided
         return Status.NAMED
     if not candidate.testable:
         return Status.NOT_TESTABLE
-    if not decided:
+    if not decided or candidate.required:
         return Status.NOT_DECIDED
     return Status.EXCLUDED if candidate.detectable <= candidate.effect.plausible else Status.CANNOT_SEE
 
@@ -92,7 +93,7 @@ def reason_of_scatter(candidate: ScatterCandidate, word: str) -> str:
     if word == Status.NOT_TESTABLE:
         return candidate.reason
     if word == Status.NOT_DECIDED:
-        return ENDED
+        return UNCONFIRMED if candidate.required else ENDED
     least = candidate.effect.parameters[0].sized(candidate.detectable)
     message = "excluded above" if word == Status.EXCLUDED else "detected from"
     return f"{message} a standard deviation of {least}"
@@ -120,10 +121,8 @@ def reason(candidate: DetectableCandidate, word: str, structure: Sequence[str] =
     plausible, at = parameter.readable(candidate.plausible)
     if word == Status.NOT_TESTABLE:
         return f"absorbed by {candidate.absorbers}; `undetected` is for {plausible:.3g} {at}".rstrip()
-    if word == Status.NOT_DECIDED and candidate.required:
-        return "its evidence would name it, but held-out readings do not confirm it or what stands for it"
     if word == Status.NOT_DECIDED:
-        return ENDED
+        return UNCONFIRMED if candidate.required else ENDED
     size, unit = parameter.readable(excluded_above(candidate))
     if word == Status.CANNOT_SEE and is_swallowed(candidate):
         what = f"structure in {' and '.join(structure)}" if structure else "what was found"

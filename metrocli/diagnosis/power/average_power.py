@@ -12,6 +12,7 @@ import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.diagnosis.evidence.state import State
+from metrocli.diagnosis.evidence.variances import scattered_effects
 from metrocli.diagnosis.hidden_change import UndetectedBias, hidden_by_scatter
 from metrocli.diagnosis.linear.distributions import noncentrality, power
 from metrocli.effects.effect import Effect
@@ -117,6 +118,8 @@ class ScatterCandidate:
     """Standard deviation of its sizes that is found in 80 of 100 cases; inf if none is"""
     undetected: UndetectedBias
     """Change of the delivered result that is exceeded in 5 % of cases, by a scatter that is found with 95 % power"""
+    required: bool = False
+    """Whether its likelihood would name it, which held-out readings did not confirm"""
 
     @property
     def testable(self) -> bool:
@@ -132,14 +135,15 @@ class ScatterCandidate:
 def scatter_candidates(state: State, noise: float = 1.0) -> tuple[ScatterCandidate, ...]:
     """Return what can be detected of effects that are sought throughout, for a noise in units of the declared one."""
     m = state.measurement
+    required = {m.scatters[found.key[0]][0].name for found in scattered_effects(state) if found.net > 0}
     return tuple(
-        _candidate(state, effect, noise)
+        _candidate(state, effect, noise, effect.name in required)
         for effect in m.job.effects
         if effect.throughout and effect.name not in m.job.not_sought and m.system.dof > 1
     )
 
 
-def _candidate(state: State, effect: Effect, noise: float) -> ScatterCandidate:
+def _candidate(state: State, effect: Effect, noise: float, required: bool) -> ScatterCandidate:
     m = state.measurement
     number = next((i for i, own in enumerate(m.scatters) if own[0].name == effect.name), None)
     if number is None:
@@ -152,7 +156,7 @@ def _candidate(state: State, effect: Effect, noise: float) -> ScatterCandidate:
     seen = eigenvalues[eigenvalues > _SEEN * eigenvalues[-1]], m.dof, effect.plausible / noise, part.price
     size, hidden = (_scatter_found(*seen, beyond) * noise for beyond in (_EIGHTY, _NINETY_FIVE))
     hides = hidden_by_scatter(m.job, m.system, m.scatters[number], hidden if np.isfinite(hidden) else effect.plausible)
-    return ScatterCandidate(effect, size, hides)
+    return ScatterCandidate(effect, size, hides, required)
 
 
 def _scatter_found(eigenvalues: Array, dof: float, usual: float, price: float, beyond: float) -> float:

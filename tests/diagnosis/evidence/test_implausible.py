@@ -14,7 +14,7 @@ from metrocli.diagnosis.evidence.measured_job import measurement_of
 from metrocli.diagnosis.evidence.measurement import Measurement
 from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.findings import Unconfirmed
-from metrocli.diagnosis.status import reason, status
+from metrocli.diagnosis.status import Status, reason, reason_of_scatter, status, status_of_scatter
 from tests.diagnosis.evidence.test_dense import number_of_effect, with_residual
 
 
@@ -103,3 +103,15 @@ def test_what_speaks_against_an_effect_is_stated_as_it_is() -> None:
     assert Unconfirmed("axis-skew", -0.5).against == "log score -0.5"
     assert Unconfirmed("lens-shape everywhere", 1.3).against == "log score +1.3, too little"
     assert "p = 0.2" in Unconfirmed("axis-skew", 1.3, 0.2).against
+
+
+def test_a_shape_that_the_evidence_would_name_is_not_excluded() -> None:
+    m, rng = board(12, (6, 5)), np.random.default_rng(38)
+    number = next(i for i, families in enumerate(m.scatters) if families[0].name == "lens-shape")
+    columns = m.scatter(number).columns
+    for size, word in ((0.0, Status.EXCLUDED), (10.0, Status.NOT_DECIDED)):
+        shift = size * columns @ rng.normal(size=columns.shape[1]) / np.linalg.norm(columns, axis=0).max()
+        drawn = with_residual(m, rng.normal(size=m.system.rows) + shift)
+        (scatter,) = (one for one in design(State.of(drawn)).scatters if one.effect.name == "lens-shape")
+        assert status_of_scatter(scatter, ()) == word
+        assert ("held-out readings" in reason_of_scatter(scatter, word)) == bool(size)
