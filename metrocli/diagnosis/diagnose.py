@@ -15,7 +15,7 @@ from metrocli.adjust.clusters.robust import STRUCTURED
 from metrocli.diagnosis.adjusted_job import AdjustedJob, Budget, Ordered
 from metrocli.diagnosis.correlated_error import CorrelatedError
 from metrocli.diagnosis.detectability import Detectability, design
-from metrocli.diagnosis.evidence.folds import gain_of_parts, gains, least_sure, with_jackknife
+from metrocli.diagnosis.evidence.folds import gain_between, gain_of_parts, gains, least_sure, with_jackknife
 from metrocli.diagnosis.evidence.gain import Gain
 from metrocli.diagnosis.evidence.identified import IdentifiedEffect, all_identified, identified
 from metrocli.diagnosis.evidence.measured_job import measurement_of
@@ -210,14 +210,18 @@ def _left(
     A job whose noise is `structured` declares that what its images share varies smoothly with anything. `gain` is that
     of all that is identified.
     """
-    # the most specific first
-    job, misfit = state.measurement.job, gain.before**2 if gain is not None and gain.before else None
+    job = state.measurement.job
+    if gain is None and correlated and len(job.model.added) > len(job.standing):
+        # an extended job has its effects in the model: what remains is compared with the errors that are left
+        gain = gain_between(state, state)
+    misfit = gain.before**2 if gain is not None and gain.before else None
     beyond = [error for error in correlated if error.log_level < np.log(_CORRELATED)]
     significant = beyond if job.noise_model != STRUCTURED else []
     # shares of a misfit in one unit: errors of angles do not add to those of lengths, nor are they little beside them
     alike = [error for error in correlated if significant and error.is_in_unit_of(job.reading[1])]
     smooth = sum((error.std * error.visible) ** 2 for error in alike)
     misfit = misfit if all(error in alike for error in significant) else None
+    # the most specific first
     law = next((law for law in laws if law.chosen), None)
     if law is not None:
         names = dict.fromkeys(name for term in law.terms for name in term.form.variables)

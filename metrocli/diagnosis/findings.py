@@ -215,7 +215,8 @@ class Diagnosis:
         if self.left is not None and not self._little_is_left:
             return Verdict.UNEXPLAINED
         if not self.findings and not self.scatters:
-            return Verdict.CLEAN
+            # a little beside the effects of an extended job
+            return Verdict.CLEAN if self.left is None or self.left.declared else Verdict.EXPLAINED
         instead = [finding.instead for finding in self.findings] + [scatter.rivals for scatter in self.scatters]
         confirmed = self.scatters or any(finding.confirmed for finding in self.findings)
         return Verdict.INDISTINCT if any(instead) or not confirmed else Verdict.EXPLAINED

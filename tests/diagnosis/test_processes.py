@@ -17,6 +17,7 @@ from metrocli.diagnosis.evidence.functions import process_bases
 from metrocli.diagnosis.evidence.measured_job import measurement_of
 from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.explanations import correlated_errors
+from metrocli.diagnosis.extended_fit import extended_fit
 from metrocli.diagnosis.findings import Diagnosis, Verdict
 from metrocli.diagnosis.job_entries import proposed_noise
 from metrocli.diagnosis.linear.linearised import linearised
@@ -139,6 +140,21 @@ def test_an_extended_job_without_effects_is_not_said_to_have_them() -> None:
     assert "the job extended by the named effects and with `noise: structured`" in of_diagnosis(found, written)
     lost = tuple(replace(one, gain=replace(one.gain, log_score=-0.1)) for one in found.findings)
     assert "extended by the named effects" not in of_diagnosis(replace(found, findings=lost), written)
+
+
+def test_a_little_beside_the_effects_of_an_extended_job_is_explained() -> None:
+    """They are named no more, since the job has them; what remains is a share of the errors that it has with them."""
+    rng = np.random.default_rng([77, 4])
+    m, _ = lengths.planted(lengths.measurement(rng, int(rng.integers(60, 101))), rng, "tracer-scale", 6.0)
+    off = 0.7 * of_each(rng, m.t[:, None], m.tracer)[0] * m.sigma
+    found = diagnose(replace(m, length=m.length + off).adjusted())
+    kept = {group.name: np.ones(group.observations.count, dtype=bool) for group in found.job.model.readings}
+    extended = extended_fit(found.job, [one.effect for one in found.findings], kept)
+    assert extended is not None and found.left is not None and found.left.share is not None
+    after = diagnose(extended)
+    assert not after.findings and after.left is not None and after.left.share is not None
+    # of fewer errors than before: a stricter rule
+    assert found.left.share < after.left.share < 0.05 and after.verdict == Verdict.EXPLAINED
 
 
 @pytest.mark.slow
