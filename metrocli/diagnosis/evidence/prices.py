@@ -105,5 +105,6 @@ def counted(
     counts = [effective_number_of_tests(levels_) for levels_ in least]
     levels = [log_family(levels_, count) for levels_, count in zip(least, counts, strict=True)]
     # one more for wrong readings, which are a family of their own, and one for each effect at all its places
+    # (docs/decisions/266-all-names-share-one-level.md)
     causes = (effective_number_of_tests(np.min(levels, axis=0)) if levels else 0.0) + 1.0 + everywhere
     return Prices((*(causes * count for count in counts), causes * max(readings, 1)), causes, every)
