@@ -25,6 +25,7 @@ from metrocli.diagnosis.verdict import as_data
 from metrocli.effects.covariates import around_circle, between_knots
 from metrocli.project.diagnosed import Extended, adjusted_job_of
 from metrocli.project.job import load
+from metrocli.project.until_clean import End, _end
 from metrocli.tasks import KINDS
 from tests.diagnosis.evidence.test_dense import with_residual
 
@@ -155,6 +156,8 @@ def test_a_little_beside_the_effects_of_an_extended_job_is_explained() -> None:
     assert not after.findings and after.left is not None and after.left.share is not None
     # of fewer errors than before: a stricter rule
     assert found.left.share < after.left.share < 0.05 and after.verdict == Verdict.EXPLAINED
+    # nor does the loop that extends jobs end with it as unexplained
+    assert _end(after, after, False) is End.NOTHING_GAINED
 
 
 @pytest.mark.slow
