@@ -10,9 +10,11 @@ from simulated.network import network
 from benchmarks.hidden import launch, lengths
 from benchmarks.hidden.foreign import planted
 from benchmarks.hidden.rest import Size, _shown, _together, of_each, of_images
+from benchmarks.hidden_effects import KINDS as KINDS_OF_EFFECTS
 from metrocli.cli.diagnosis_report.findings import of_diagnosis
 from metrocli.diagnosis.correlated_error import CorrelatedError
-from metrocli.diagnosis.diagnose import diagnose
+from metrocli.diagnosis.diagnose import _left, diagnose
+from metrocli.diagnosis.evidence.folds import gain_between
 from metrocli.diagnosis.evidence.functions import process_bases
 from metrocli.diagnosis.evidence.measured_job import measurement_of
 from metrocli.diagnosis.evidence.state import State
@@ -290,6 +292,18 @@ def test_what_wavers_in_another_unit_than_the_misfit_is_no_small_share_of_it() -
     size = as_data(found)["unexplained"]["size"]
     assert size["unit"] == "um" and size["value"] == pytest.approx(3e3 * launch.DISTANCE, rel=0.3)
     assert f"varies with t_s, {size['value']:.1f} um (root mean square)" in of_diagnosis(found, None)
+
+
+def test_a_wave_of_angles_is_no_small_share_of_errors_of_displacements() -> None:
+    """Lines of a laser: a wave of angles of five times their noise is left in rad, and not 0 % of errors in mm."""
+    m = measurement_of(KINDS_OF_EFFECTS["six-dof"].case(5, True).adjusted(), quick=True)
+    number = next(number for number, family in enumerate(m.families) if family.unknown)
+    wave = 5 * m.whole(number, 7).sum(axis=1) * m.system.rows_in_units["rad"]
+    state = State.of(with_residual(m, m.system.residual + wave), [m.effect(number, 7)])
+    left = _left(state, (), (), gain_between(state, state), ())
+    assert left is not None and (left.unit, left.share) == ("rad", None)
+    shown = (m.system.seen(wave) * m.system.scale)[m.system.rows_in_units["rad"]]
+    assert left.size == pytest.approx(np.sqrt(np.mean(shown**2)), rel=0.1)
 
 
 def test_white_noise_has_no_process() -> None:
