@@ -35,6 +35,7 @@ from metrocli.diagnosis.noise import VarianceGroup, noise_of
 from metrocli.diagnosis.power.collinear import separations
 from metrocli.diagnosis.rounds import searched
 from metrocli.diagnosis.wrong_readings import wrong_readings
+from metrocli.effects.correlated import NAME as CORRELATED_ERROR
 from metrocli.progress import SILENT, Progress
 from metrocli.units import internal_unit
 
@@ -212,7 +213,8 @@ def _left(
     of all that is identified.
     """
     job = state.measurement.job
-    if gain is None and correlated and len(job.model.added) > len(job.standing):
+    effects = [added for added in job.model.added if added.effect.name != CORRELATED_ERROR]
+    if gain is None and correlated and len(effects) > len(job.standing):
         # an extended job has its effects in the model: what remains is compared with the errors that are left
         gain = gain_between(state, state)
     misfit = gain.before**2 if gain is not None and gain.before else None

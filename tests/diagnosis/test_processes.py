@@ -24,10 +24,12 @@ from metrocli.diagnosis.findings import Diagnosis, Verdict
 from metrocli.diagnosis.job_entries import proposed_noise
 from metrocli.diagnosis.linear.linearised import linearised
 from metrocli.diagnosis.verdict import as_data
+from metrocli.effects.correlated import StatedCorrelation, requests_of
 from metrocli.effects.covariates import around_circle, between_knots
 from metrocli.project.diagnosed import Extended, adjusted_job_of
 from metrocli.project.job import load
 from metrocli.project.until_clean import End, _end
+from metrocli.project.yaml_text import parse
 from metrocli.tasks import KINDS
 from tests.diagnosis.evidence.test_dense import with_residual
 
@@ -160,6 +162,20 @@ def test_a_little_beside_the_effects_of_an_extended_job_is_explained() -> None:
     assert found.left.share < after.left.share < 0.05 and after.verdict == Verdict.EXPLAINED
     # nor does the loop that extends jobs end with it as unexplained
     assert _end(after, after, False) is End.NOTHING_GAINED
+
+
+def test_a_little_beside_a_stated_smooth_error_alone_is_not_explained() -> None:
+    """The job has no effect: what it states over the temperature is no cause of what varies with the time."""
+    rng = np.random.default_rng([77, 20])
+    m = lengths.measurement(rng, 100)
+    off = rng.uniform(0.45, 0.54) * of_each(rng, m.t[:, None], m.tracer)[0] * m.sigma
+    stated = StatedCorrelation("temp_degC", 0.5, "0.03 um")
+    requests = requests_of(
+        [stated], [parse("{covariate: temp_degC}", "job.yaml", Path())], KINDS["multilaterate"].task().covariates
+    )
+    found = diagnose(replace(m, length=m.length + off).adjusted(requests))
+    assert found.job.model.added and not found.findings and found.left is not None
+    assert found.verdict == Verdict.UNEXPLAINED
 
 
 @pytest.mark.slow
