@@ -35,7 +35,9 @@ from metrocli.diagnosis.noise import VarianceGroup, noise_of
 from metrocli.diagnosis.power.collinear import separations
 from metrocli.diagnosis.rounds import searched
 from metrocli.diagnosis.wrong_readings import wrong_readings
+from metrocli.effects.correlated import NAME as CORRELATED_ERROR
 from metrocli.progress import SILENT, Progress
+from metrocli.units import internal_unit
 
 Attended = Callable[[Callable[[], None]], AbstractContextManager[object]]
 """Takes what interrupts a search, and calls it if the user wants that within the context"""
@@ -211,7 +213,8 @@ def _left(
     of all that is identified.
     """
     job = state.measurement.job
-    if gain is None and correlated and len(job.model.added) > len(job.standing):
+    effects = [added for added in job.model.added if added.effect.name != CORRELATED_ERROR]
+    if gain is None and correlated and len(effects) > len(job.standing):
         # an extended job has its effects in the model: what remains is compared with the errors that are left
         gain = gain_between(state, state)
     misfit = gain.before**2 if gain is not None and gain.before else None
@@ -229,14 +232,15 @@ def _left(
         return RemainingStructure(law.p_value, tuple(names), where, law.size, *_shares(law.size, misfit, smooth))
     for part in state.unknown:
         name = identified(state, part, with_rivals=False)
-        size = _size(state, part)
+        size, unit = _size(state, part)
         return RemainingStructure(
             float(np.exp(name.log_level)),
             (state.measurement.families[part.family].unknown,),
             (),
             size,
-            *_shares(size, misfit, smooth),
+            *_shares(size, misfit if unit == internal_unit(job.reading[1]) else None, smooth),
             job.noise_model == STRUCTURED,
+            unit,
         )
     if significant:
         best = min(significant, key=lambda error: error.log_level)
@@ -262,12 +266,13 @@ def _shares(size: float, misfit: float | None, smooth: float) -> tuple[float | N
     return (size**2 / (misfit + size**2), smooth / (misfit + size**2)) if size and misfit else (None, 0.0)
 
 
-def _size(state: State, part: Fixed) -> float:
-    """Return the root mean square of what a fixed part explains in the readings whose unit is reported."""
+def _size(state: State, part: Fixed) -> tuple[float, str]:
+    """Return the root mean square of what a fixed part explains in readings of the unit that shows most, and that."""
     system = state.measurement.system
-    change = (state.beside(part).residual - state.residual) * system.scale
-    shown = change[(change != 0) & system.alike]
-    return float(np.sqrt((shown**2).mean())) if len(shown) else 0.0
+    change = state.beside(part).residual - state.residual
+    unit, rows = system.showing(change)
+    shown = (change * system.scale)[rows & (change != 0)]
+    return float(np.sqrt((shown**2).mean())) if len(shown) else 0.0, unit
 
 
 def what_can_be_seen(job: AdjustedJob) -> Detectability:

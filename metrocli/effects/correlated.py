@@ -37,18 +37,21 @@ from metrocli.words import in_a_row, suggestion
 
 @dataclass(frozen=True)
 class SmoothError(AtQuantity):
-    """Link `y_a += sum_k c_ak B_k`, a the component of a reading; columns c_11, c_12, .. of its block."""
+    """Link `y_a += s_a sum_k c_ak B_k`, a the component of a reading; columns c_11, c_12, .. of its block."""
 
     functions: tuple[str, ...]
     """Conditions B_k"""
+    scales: tuple[float, ...]
+    """Declared noise s_a of each component, relative to that of the first: displacements and angles differ in unit"""
 
     def step(self, value: Array, local: LinkContext) -> Step:
         """Return the readings (d, n) with the error."""
         basis = np.stack([local.observations.conditions[name] for name in self.functions])
         d, (k, n) = len(value), basis.shape
-        added = (local.rows(self.block).reshape(d, k, -1) * basis).sum(axis=1)
+        of_each = np.array(self.scales)[:, None, None] * basis
+        added = (local.rows(self.block).reshape(d, k, -1) * of_each).sum(axis=1)
         by_block = np.zeros((d, d, k, n))
-        by_block[np.arange(d), np.arange(d)] = basis
+        by_block[np.arange(d), np.arange(d)] = of_each
         return Step(value + added, None, {self.block: by_block.reshape(d, d * k, n)})
 
 
@@ -124,9 +127,9 @@ def _with_error(model: Model, error: StatedCorrelation, covariate: Covariate, no
         return model, [at.fault(f"correlated: {covariate.name} resolves no length below {least:.2g}")]
     stds = _stds(error.std, groups)
     if stds is None:
-        at, noise = node.get("std") or node, float(np.median(groups[0].observations.deviations))
+        at, noise = node.get("std") or node, float(_typical(groups[0])[0])
         hint = f"write a size above zero with its unit, at most {_MOST:g} times the declared noise of {noise:.2g} "
-        hint += groups[0].observations.unit
+        hint += groups[0].observations.unit_of_each[0]
         return model, [at.fault(f"correlated: std: '{error.std}' is no size of these readings", hint)]
     turn = kernel(smooth.distances, error.length)
     for group, (values, numbers), std in zip(groups, smooth.values, stds, strict=True):
@@ -142,8 +145,11 @@ def _labels(model: Model, group: Group, by: str) -> Index:
 
 
 def _stds(text: str, groups: Sequence[Group]) -> list[float] | None:
-    """Return the size in the unit of each group: one for all in units of their noise; None if it is in none of them."""
-    typical = [float(np.median(group.observations.deviations)) for group in groups]
+    """Return the size in the first component of each group: one for all in units of their noise.
+
+    None if it is in the unit of none of them.
+    """
+    typical = [float(_typical(group)[0]) for group in groups]
     for name in units.DIMENSIONS:
         of_unit = np.concatenate([one.observations.deviations_in(units.internal_unit(name)) for one in groups])
         if len(of_unit):
@@ -157,24 +163,30 @@ def _stds(text: str, groups: Sequence[Group]) -> list[float] | None:
     return None
 
 
+def _typical(group: Group) -> Array:
+    """Return for each component the median of the declared standard deviations in its unit, (d,)."""
+    observations = group.observations
+    return np.array([np.median(observations.deviations_in(unit)) for unit in observations.unit_of_each])
+
+
 def _with_group(model: Model, name: str, error: StatedCorrelation, basis: Array, std: float) -> Model:
     """Return the model with an error of one group, whose smooth functions (k, n) become conditions of its readings."""
     number = sum(added.effect.name == NAME for added in model.added) + 1
     group = model.group(name)
-    observations, deviations = group.observations, group.observations.deviations
+    observations, typical = group.observations, _typical(group)
     # in units of the declared noise, as diagnose has it: noisier readings have more of it
-    relative = np.sqrt((deviations**2).mean(axis=0)) / np.median(deviations)
+    relative = np.sqrt(((observations.deviations / typical[:, None]) ** 2).mean(axis=0))
     keys = tuple(f"{NAME} {number} {j}" for j in range(len(basis)))
     conditions: Mapping[str, Array] = dict(zip(keys, basis * relative, strict=True))
     group = replace(group, observations=replace(observations, conditions={**observations.conditions, **conditions}))
-    components = len(observations.readings)
-    dimension = next((one for one in units.DIMENSIONS if units.internal_unit(one) == observations.unit), "")
+    components, first = len(observations.readings), observations.unit_of_each[0]
+    dimension = next((one for one in units.DIMENSIONS if units.internal_unit(one) == first), "")
     parameters = tuple(Parameter(f"c{j + 1}", dimension, std) for j in range(components * len(basis)))
-    at = group.chain.links[-1].gives
+    at, scales = group.chain.links[-1].gives, tuple((typical / typical[0]).tolist())
     effect = replace(
         _ERROR,
         parameters=parameters,
-        link=lambda block, where: SmoothError(block, at, keys),
+        link=lambda block, where: SmoothError(block, at, keys, scales),
         where=(error.by,) if error.by else (),
         needs=keys[:1],
     )

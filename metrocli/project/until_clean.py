@@ -117,7 +117,7 @@ def _end(last: Diagnosis, gained: Diagnosis, spent: bool) -> End | None:
     if last.verdict is Verdict.CLEAN:
         return End.CLEAN
     if not _adds(gained):
-        return End.UNEXPLAINED if last.left is not None and not last.laws else End.NOTHING_GAINED
+        return End.UNEXPLAINED if last.verdict is Verdict.UNEXPLAINED and not last.laws else End.NOTHING_GAINED
     return End.MOST if spent else None
 
 

@@ -10,9 +10,11 @@ from simulated.network import network
 from benchmarks.hidden import launch, lengths
 from benchmarks.hidden.foreign import planted
 from benchmarks.hidden.rest import Size, _shown, _together, of_each, of_images
+from benchmarks.hidden_effects import KINDS as KINDS_OF_EFFECTS
 from metrocli.cli.diagnosis_report.findings import of_diagnosis
 from metrocli.diagnosis.correlated_error import CorrelatedError
-from metrocli.diagnosis.diagnose import diagnose
+from metrocli.diagnosis.diagnose import _left, diagnose
+from metrocli.diagnosis.evidence.folds import gain_between
 from metrocli.diagnosis.evidence.functions import process_bases
 from metrocli.diagnosis.evidence.measured_job import measurement_of
 from metrocli.diagnosis.evidence.state import State
@@ -22,9 +24,12 @@ from metrocli.diagnosis.findings import Diagnosis, Verdict
 from metrocli.diagnosis.job_entries import proposed_noise
 from metrocli.diagnosis.linear.linearised import linearised
 from metrocli.diagnosis.verdict import as_data
+from metrocli.effects.correlated import StatedCorrelation, requests_of
 from metrocli.effects.covariates import around_circle, between_knots
 from metrocli.project.diagnosed import Extended, adjusted_job_of
 from metrocli.project.job import load
+from metrocli.project.until_clean import End, _end
+from metrocli.project.yaml_text import parse
 from metrocli.tasks import KINDS
 from tests.diagnosis.evidence.test_dense import with_residual
 
@@ -155,6 +160,22 @@ def test_a_little_beside_the_effects_of_an_extended_job_is_explained() -> None:
     assert not after.findings and after.left is not None and after.left.share is not None
     # of fewer errors than before: a stricter rule
     assert found.left.share < after.left.share < 0.05 and after.verdict == Verdict.EXPLAINED
+    # nor does the loop that extends jobs end with it as unexplained
+    assert _end(after, after, False) is End.NOTHING_GAINED
+
+
+def test_a_little_beside_a_stated_smooth_error_alone_is_not_explained() -> None:
+    """The job has no effect: what it states over the temperature is no cause of what varies with the time."""
+    rng = np.random.default_rng([77, 20])
+    m = lengths.measurement(rng, 100)
+    off = rng.uniform(0.45, 0.54) * of_each(rng, m.t[:, None], m.tracer)[0] * m.sigma
+    stated = StatedCorrelation("temp_degC", 0.5, "0.03 um")
+    requests = requests_of(
+        [stated], [parse("{covariate: temp_degC}", "job.yaml", Path())], KINDS["multilaterate"].task().covariates
+    )
+    found = diagnose(replace(m, length=m.length + off).adjusted(requests))
+    assert found.job.model.added and not found.findings and found.left is not None
+    assert found.verdict == Verdict.UNEXPLAINED
 
 
 @pytest.mark.slow
@@ -287,6 +308,18 @@ def test_what_wavers_in_another_unit_than_the_misfit_is_no_small_share_of_it() -
     size = as_data(found)["unexplained"]["size"]
     assert size["unit"] == "um" and size["value"] == pytest.approx(3e3 * launch.DISTANCE, rel=0.3)
     assert f"varies with t_s, {size['value']:.1f} um (root mean square)" in of_diagnosis(found, None)
+
+
+def test_a_wave_of_angles_is_no_small_share_of_errors_of_displacements() -> None:
+    """Lines of a laser: a wave of angles of five times their noise is left in rad, and not 0 % of errors in mm."""
+    m = measurement_of(KINDS_OF_EFFECTS["six-dof"].case(5, True).adjusted(), quick=True)
+    number = next(number for number, family in enumerate(m.families) if family.unknown)
+    wave = 5 * m.whole(number, 7).sum(axis=1) * m.system.rows_in_units["rad"]
+    state = State.of(with_residual(m, m.system.residual + wave), [m.effect(number, 7)])
+    left = _left(state, (), (), gain_between(state, state), ())
+    assert left is not None and (left.unit, left.share) == ("rad", None)
+    shown = (m.system.seen(wave) * m.system.scale)[m.system.rows_in_units["rad"]]
+    assert left.size == pytest.approx(np.sqrt(np.mean(shown**2)), rel=0.1)
 
 
 def test_white_noise_has_no_process() -> None:

@@ -11,7 +11,6 @@ from dataclasses import replace
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
-from metrocli.adjust.model.observations import Mask
 from metrocli.adjust.robust import SAME
 from metrocli.diagnosis.adjusted_job import Ordered
 from metrocli.diagnosis.evidence.gain import Gain, Held, gain_of
@@ -22,7 +21,6 @@ from metrocli.diagnosis.laws.library import Library, Term
 from metrocli.diagnosis.laws.steps import Lawful, among_terms, columns_of_terms, forward
 from metrocli.diagnosis.laws.terms import columns_of
 from metrocli.diagnosis.linear.candidates import Candidate
-from metrocli.diagnosis.linear.projection import Linearised
 from metrocli.diagnosis.linear.quadratics import quadratic
 from metrocli.frozen import dataclass
 
@@ -225,7 +223,7 @@ def _data(library: Library, terms: Sequence[Term], sizes: Array, after: Array) -
     adds = columns_of_terms(library, terms)
     law = (adds @ sizes) * system.scale
     residual = law + after * system.scale
-    unit_of_readings, showing = _showing(system, adds @ sizes)
+    unit_of_readings, showing = system.showing(adds @ sizes)
     if len(variables) > 1 or any(term.spot.component != spot.component for term in terms):
         rows = np.flatnonzero(adds.any(axis=1) & showing)
         return LawData("", "", law[rows], law[rows], residual[rows], unit_of_readings, None)
@@ -240,14 +238,6 @@ def _data(library: Library, terms: Sequence[Term], sizes: Array, after: Array) -
     law, residual = law[rows] / change[rows], residual[rows] / change[rows]
     unit, adds_unit = spot.acting.variables_at({})[name].unit, spot.acting.unit_of(spot.component)
     return LawData(name, unit, x, law, residual, adds_unit, (steps, curve))
-
-
-def _showing(system: Linearised, explained: Array) -> tuple[str, Mask]:
-    """Return the unit of the readings that show most of what a law explains (rows,), whitened, and their rows.
-
-    Angles may show nothing of a law of distances.
-    """
-    return max(system.rows_in_units.items(), key=lambda one: float((explained[one[1]] ** 2).sum()))
 
 
 _LEAST, _MOST = 0.9, 2

@@ -117,6 +117,13 @@ class Linearised:
                 mask[self.rows_of(group)] = np.tile(names == unit, group.observations.count)
         return found
 
+    def showing(self, change: Array) -> tuple[str, Mask]:
+        """Return the unit of the readings that show most of a change (rows,), whitened, and their rows.
+
+        Angles may show nothing of a law of distances.
+        """
+        return max(self.rows_in_units.items(), key=lambda one: float((change[one[1]] ** 2).sum()))
+
     @cached_property
     def times(self) -> Array:
         """The time of each row's reading (rows,); nan for readings without a time."""

@@ -7,7 +7,11 @@ import numpy as np
 import pytest
 from scipy.spatial.distance import pdist
 
+from benchmarks.hidden_effects import KINDS
+from metrocli.effects.correlated import StatedCorrelation, requests_of, with_all
 from metrocli.formats import hdf5
+from metrocli.project.yaml_text import parse
+from metrocli.tasks.calibrate_machine.diagnosis import covariates
 
 POINTS, KNOTS, LENGTH, STD, SIGMA = 40, 17, 0.25, 1.5e-3, 5e-4
 JOB = """metrocli: 1
@@ -130,3 +134,17 @@ def test_what_the_readings_cannot_have_is_refused_in_words(
     assert ran.code == 3
     assert words in ran.err
     assert not Path("result.h5").exists()
+
+
+@pytest.mark.parametrize("size", ["1 um", "2 urad"])
+def test_an_error_of_displacements_and_angles_is_as_many_times_the_noise_of_each(size: str) -> None:
+    """A laser for six degrees of freedom, with a noise of 0.5 um and 1 urad: an error of 1 um is one of 2 urad."""
+    model = KINDS["six-dof"].case(5, True).adjusted().model
+    node = parse("{covariate: t_s}", "job.yaml", Path())
+    extended = with_all(model, requests_of([StatedCorrelation("t_s", 0.5, size)], [node], covariates))
+    (added,), (group,) = extended.added, extended.readings
+    wanted = frozenset({added.block})
+    steps = group.chain.steps(extended.blocks, group.observations, wanted)
+    by_size = group.chain.derivatives(steps, wanted)[added.block]
+    found = added.std * np.sqrt((by_size**2).sum(axis=1).mean(axis=1))
+    assert found == pytest.approx([1e-3] * 3 + [2e-6] * 3, rel=0.05)

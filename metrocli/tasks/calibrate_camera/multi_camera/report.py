@@ -152,7 +152,7 @@ def _projection_error(system: CameraSystem, adjusted: AdjustedImages) -> tuple[T
 
 
 def _worst(coverages: Mapping[str, Statistics]) -> Statistics:
-    """Return what the camera coverages that is known worst in a corner, for the size of its image, with its name."""
+    """Return the coverage of the camera that is known worst in a corner, for the size of its image, with its name."""
 
     def uncertain(name: str) -> float:
         corner, width, height = (coverages[name][key] for key in ("corner_std", "image_width", "image_height"))
