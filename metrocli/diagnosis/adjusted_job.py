@@ -185,6 +185,13 @@ class AdjustedJob:
         return REPORTED[self.model.readings[0].observations.unit_of_each[0]]
 
     @property
+    def smooth_covariates(self) -> list[Covariate]:
+        """The covariates with which errors of all readings may vary smoothly: each group of readings has them."""
+        names = [group.name for group in self.model.readings]
+        alone = (covariate for covariate in self.covariates if not covariate.together)
+        return [covariate for covariate in alone if all(name in covariate.values for name in names)]
+
+    @property
     def declares_noise(self) -> bool:
         """Whether its whole noise is declared: no part of it follows the residuals."""
         return not self.noise_model and ESTIMATED not in self.declared

@@ -213,6 +213,10 @@ def test_what_wavers_beside_an_effect_is_a_share_of_the_misfit() -> None:
     assert found.left.share == pytest.approx((error.std * error.visible / found.gain.before) ** 2)
     assert found.left.share > 0.05 and found.verdict == Verdict.UNEXPLAINED
     assert "um that vary with t_s remain" in of_diagnosis(found, None)
+    # bars and heights of a network have no time: what its other readings share goes by no covariate of all
+    unsought = "Errors that vary smoothly are not sought"
+    assert unsought in of_diagnosis(replace(found, job=replace(found.job, covariates=())), None)
+    assert unsought not in of_diagnosis(found, None)
 
 
 def test_what_wavers_is_in_the_uncertainty_of_an_effect_beside_it() -> None:

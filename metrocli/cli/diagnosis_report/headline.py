@@ -97,6 +97,8 @@ def noise_lines(diagnosis: Diagnosis) -> Iterator[str]:
             yield f"  Usual reasons: {_USUAL}."
         if noise.low > _HIGH_NOISE and noise.dof < _FEW_DOF:
             yield f"  With {noise.dof:.0f} degrees of freedom, several wrong readings may pass as noise: measure more."
+    if not diagnosis.job.smooth_covariates and not diagnosis.quick:
+        yield "  Errors that vary smoothly are not sought: no covariate is known of all groups of readings."
     readings = [unit for unit in diagnosis.variance_groups if unit.key != DECLARED_SIGMA]
     if len(readings) == 1:
         yield f"  {noisier(readings[0])}, each relative to what is declared for it."
