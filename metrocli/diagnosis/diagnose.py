@@ -213,17 +213,13 @@ def _left(
     of all that is identified.
     """
     job = state.measurement.job
-    effects = [added for added in job.model.added if added.effect.name != CORRELATED_ERROR]
-    if gain is None and correlated and len(effects) > len(job.standing):
-        # an extended job has its effects in the model: what remains is compared with the errors that are left
-        gain = gain_between(state, state)
-    misfit = gain.before**2 if gain is not None and gain.before else None
     beyond = [error for error in correlated if error.log_level < np.log(_CORRELATED)]
     significant = beyond if job.noise_model != STRUCTURED else []
     # shares of a misfit in one unit: errors of angles do not add to those of lengths, nor are they little beside them
     alike = [error for error in correlated if significant and error.is_in_unit_of(job.reading[1])]
     smooth = sum((error.std * error.visible) ** 2 for error in alike)
-    misfit = misfit if all(error in alike for error in significant) else None
+    in_one_unit = all(error in alike for error in significant)
+    misfit = gain.before**2 if gain is not None and gain.before and in_one_unit else None
     # the most specific first
     law = next((law for law in laws if law.chosen), None)
     if law is not None:
@@ -243,6 +239,10 @@ def _left(
             unit,
         )
     if significant:
+        effects = [added for added in job.model.added if added.effect.name != CORRELATED_ERROR]
+        if gain is None and in_one_unit and len(effects) > len(job.standing):
+            # an extended job has its effects in the model: smooth errors are compared with the errors that it has left
+            misfit = gain_between(state, state).before ** 2
         best = min(significant, key=lambda error: error.log_level)
         names = dict.fromkeys(error.covariate for error in significant)
         return RemainingStructure(
