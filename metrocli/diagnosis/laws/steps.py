@@ -54,37 +54,48 @@ class Lawful:
 
 
 def among_terms(state: State, library: Library, needed: float = 0.0) -> Lawful | None:
-    """Return a state whose candidates are terms; None if they cannot gain what is needed even if few were tried.
-
-    Further terms seldom gain more than the first.
-    """
-    least = max(-_NEAR, needed / MOST_TERMS - _NEAR)
-    # nearly all terms act at one place of many: those where no term can gain enough are not looked at
-    looked_at = library.at(_places(state, library, least))
+    """Return a state whose candidates are terms; None if they cannot gain what is needed even if few were tried."""
+    # nearly all terms act at one place of many: those where no law can gain enough are not looked at
+    looked_at = library.at(_places(state, library, needed))
     # at the least prices that there can be: true ones take a count of independent tests, which costs more
     plain = Prices(tuple(LEAST_TESTS for _ in looked_at.families) + (1.0,), 1.0, state.measurement.prices.dof)
     tried = _with_candidates(state, looked_at, plain)
-    nets = (np.subtract(*tried.gains_of_family(i)[:2]).max(initial=-np.inf) for i in range(len(looked_at.families)))
-    if max(nets, default=-np.inf) < least:
+    if not _may_gain(Lawful(tried, looked_at), needed):
         return None
     return Lawful(_with_candidates(state, library, library.prices, tried.held if looked_at is library else {}), library)
 
 
-def _places(state: State, library: Library, least: float) -> list[Place]:
-    """Return the places where a term may gain the least.
+def _places(state: State, library: Library, needed: float) -> list[Place]:
+    """Return the places where a law may gain what is needed.
 
     What changes the readings of a place alone explains at most what leaving these out does.
     """
-    if least <= 0:
+    if needed <= 0:
         return [*library.places]
     found, system = [], state.measurement.system
     for where in sorted(library.places):
         rows = np.flatnonzero(system.rows_at(dict([where])))
         if len(rows):
             others = Others.of(Fold(state.measurement, rows), state)
-            if state.freedoms / 2 * np.log(state.fit.squares / others.fit.squares) >= least:
+            if state.freedoms / 2 * np.log(state.fit.squares / others.fit.squares) >= needed:
                 found.append(where)
     return found
+
+
+def _may_gain(lawful: Lawful, needed: float) -> bool:
+    """Return whether a law of the best terms, at their scanned values, comes near to a gain.
+
+    Further terms seldom gain more than those before them, so that each has its share of what is needed to gain.
+    """
+    for left in range(MOST_TERMS, 0, -1):
+        best = next(iter(best_terms(lawful)), None)
+        if best is None or best[0] < max(-_NEAR, needed / left - _NEAR):
+            return False
+        needed -= best[0]
+        if needed <= 0 or left == 1:
+            break
+        lawful = lawful.plus(*_scanned(lawful, *best[1:]))
+    return True
 
 
 def _with_candidates(state: State, library: Library, prices: Prices, held: dict[object, Any] | None = None) -> State:
@@ -133,13 +144,21 @@ def best_terms(lawful: Lawful) -> list[tuple[float, int, int]]:
     return sorted(best.values(), key=lambda one: -one[0])
 
 
+def _scanned(lawful: Lawful, family: int, number: int, refined: Term | None = None) -> tuple[Term, Fixed]:
+    """Return a term of the scan, or what it is at a refined value, as fixed columns."""
+    library, m = lawful.library, lawful.state.measurement
+    term = refined or library.terms[family][number]
+    # a number of its own for a refined one: products are kept by it, and those of the scanned value are others
+    key = family, next(library.numbers) if refined else number
+    return term, m.term(library.columns(term), key, m.prices.of_columns(family, len(term.form.factors)))
+
+
 def _refined(lawful: Lawful, family: int, number: int) -> tuple[Term, Fixed]:
     """Return a term with its scanned value refined between the neighbours of the best one in the scan."""
     library, state = lawful.library, lawful.state
     term = library.terms[family][number]
-    price = state.measurement.prices.of_columns(family, len(term.form.factors))
     if term.form.scanned is None or term.form.kind == STEPS:
-        return term, state.measurement.term(library.columns(term), (family, number), price)
+        return _scanned(lawful, family, number)
     alike = (
         refined.form.scanned
         for refined in library.terms[family]
@@ -160,8 +179,7 @@ def _refined(lawful: Lawful, family: int, number: int) -> tuple[Term, Fixed]:
         best = int(np.argmax(gain))
         term = tried[best]
         low, high = (float(tried[at].form.scanned or 0.0) for at in (max(best - 1, 0), min(best + 1, _FINE - 1)))
-    # a number of its own: products are kept by it, and those of the scanned value are others
-    return term, state.measurement.term(library.columns(term), (family, next(library.numbers)), price)
+    return _scanned(lawful, family, number, term)
 
 
 def columns_of_terms(library: Library, terms: Sequence[Term]) -> np.ndarray:
