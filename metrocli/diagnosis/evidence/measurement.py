@@ -103,9 +103,8 @@ class Measurement:
         member, there = self.system.basis.member, knots.component >= 0
         if not knots.functions.by or self.system.basis.members < 2 or (member[there] < 0).any():
             return False
-        # images of several cameras share the pose of their exposure
-        own = np.unique(np.stack([knots.unit[there], member[there]]), axis=1)
-        return all(len(np.unique(each)) == own.shape[1] for each in own)
+        # images of several cameras share the pose of their exposure: each unit has to have one member, and that one unit
+        return _is_function(knots.unit[there], member[there]) and _is_function(member[there], knots.unit[there])
 
     @cached_property
     def local(self) -> tuple[bool, ...]:
@@ -244,3 +243,10 @@ class Measurement:
         keys = {key: values[at] for key, values in observations.keys.items()}
         single = len(observations.readings) > 1 and self.places.shape[1] == 1
         return keys | ({"component": observations.components[component]} if single else {})
+
+
+def _is_function(numbers: Index, values: Index) -> bool:
+    """Return whether equal numbers (n,) have equal values (n,)."""
+    of_each = np.zeros(int(numbers.max(initial=0)) + 1, dtype=np.intp)
+    of_each[numbers] = values
+    return bool((of_each[numbers] == values).all())

@@ -9,7 +9,7 @@ Method: docs/algorithms/what-can-be-seen.md (projection).
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from functools import cached_property
 from itertools import combinations_with_replacement, pairwise
@@ -34,8 +34,8 @@ _FEW = 0.1
 """Share of the rows with a value below which these rows are gathered"""
 _SAMPLE = 1000
 """Rows by which the share of those with a value is estimated"""
-_AT_ONCE = 25_000
-"""Rows that are combined at once"""
+_AT_ONCE, _LARGE = 25_000, 4_000_000
+"""Rows that are combined at once, and numbers of columns from which they are held without those that are zero"""
 
 
 @dataclass(frozen=True)
@@ -262,6 +262,15 @@ def thin(columns: Array) -> Columns:
     from scipy.sparse import csr_matrix
 
     return csr_matrix(columns) if np.count_nonzero(columns) < _THIN * columns.size else columns
+
+
+def thin_together(several: Iterable[Array], rows: int) -> Columns:
+    """Return some columns (rows, k) each side by side; a table of all is made only if it is small."""
+    from scipy.sparse import csr_matrix, hstack
+
+    joined = hstack([csr_matrix((rows, 0)), *map(csr_matrix, several)], format="csr")
+    size = rows * joined.shape[1]
+    return joined if joined.nnz < _THIN * size or size > _LARGE else joined.toarray()
 
 
 def squared(columns: Columns) -> Array:

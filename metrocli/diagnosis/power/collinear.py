@@ -14,6 +14,7 @@ import numpy as np
 from metrocli.adjust.model.blocks import Array
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.evidence.state import State
+from metrocli.diagnosis.linear.basis import thin_together
 from metrocli.diagnosis.linear.candidates import Candidate
 from metrocli.diagnosis.linear.linearised import linearised
 from metrocli.diagnosis.linear.projection import Linearised
@@ -31,8 +32,6 @@ _OFFERED = 2
 """Largest number of further measurements that are reported"""
 _HELPS = 0.98
 """Correlation above which a further measurement does not help enough to be reported"""
-_MOST_NUMBERS = 4_000_000
-"""Numbers of visible columns that are held at once to compare candidates"""
 _SEPARATED = 0.95
 """Probability with which the right one of two names is chosen, over all directions of its parameters"""
 
@@ -79,7 +78,7 @@ def pairs_of(state: State, candidates: Sequence[ComparedCandidate], noise: float
     testable = [candidate for candidate in candidates if candidate.testable]
     ends = np.cumsum([0, *(state.measurement.families[candidate.family].columns.parameters for candidate in testable)])
     own = [slice(int(first), int(last)) for first, last in itertools.pairwise(ends)]
-    gram = _visible_products(state, testable, own)
+    gram = _visible_products(state, testable)
     turns = [_unit(gram[its, its]) for its in own]
     for i, other in enumerate(testable):
         for j in range(i):
@@ -93,24 +92,11 @@ def pairs_of(state: State, candidates: Sequence[ComparedCandidate], noise: float
                 yield Pair(other.name, testable[j].name, min(rho, 1.0), size, other.unit, other.dimension)
 
 
-def _visible_products(state: State, candidates: Sequence[ComparedCandidate], own: Sequence[slice]) -> Array:
-    """Return the products of the visible columns of candidates, each at its own place, some of them at once."""
-    gram = np.empty((own[-1].stop,) * 2) if own else np.empty((0, 0))
+def _visible_products(state: State, candidates: Sequence[ComparedCandidate]) -> Array:
+    """Return the products of the visible columns of candidates, each at its own place."""
     m = state.measurement
-    together = max(_MOST_NUMBERS // m.system.rows, 1)
-    by_family: dict[int, list[int]] = {}
-    for at, candidate in enumerate(candidates):
-        by_family.setdefault(candidate.family, []).append(at)
-    # as many neighbours as the memory holds together
-    for _, some in itertools.groupby(range(len(candidates)), lambda at: own[at].start // together):
-        chosen = list(some)
-        its = slice(own[chosen[0]].start, own[chosen[-1]].stop)
-        whole = [m.whole(candidates[at].family, candidates[at].number) for at in chosen]
-        columns = state.seen(np.concatenate(whole, axis=1))
-        for family, members in by_family.items():
-            numbers = [candidates[at].number for at in members]
-            for at, products in zip(members, m.families[family].columns.products(columns, numbers), strict=True):
-                gram[own[at], its] = products
+    keys = tuple((candidate.family, candidate.number) for candidate in candidates)
+    gram = state.gram(("candidates", keys), thin_together((m.whole(*key) for key in keys), m.system.rows))
     # a column that is not visible is a rounding error where it is not projected
     gram[np.diag(gram) == 0] = 0.0
     return gram
