@@ -103,7 +103,7 @@ class Measurement:
         member, there = self.system.basis.member, knots.component >= 0
         if not knots.functions.by or self.system.basis.members < 2 or (member[there] < 0).any():
             return False
-        # images of several cameras share the pose of their exposure: each unit has to have one member, and that one unit
+        # each has one of the other: images of several cameras share the pose of their exposure
         return _is_function(knots.unit[there], member[there]) and _is_function(member[there], knots.unit[there])
 
     @cached_property

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from metrocli.adjust.model.observations import Index
 from metrocli.diagnosis.evidence.held_out import Fold, Others
 from metrocli.diagnosis.evidence.parts import Fixed
 from metrocli.diagnosis.evidence.prices import Prices
@@ -75,11 +76,16 @@ def _places(state: State, library: Library, needed: float) -> list[Place]:
     found, system = [], state.measurement.system
     for where in sorted(library.places):
         rows = np.flatnonzero(system.rows_at(dict([where])))
-        if len(rows):
-            others = Others.of(Fold(state.measurement, rows), state)
-            if state.freedoms / 2 * np.log(state.fit.squares / others.fit.squares) >= needed:
-                found.append(where)
+        # without those of a place that has all redundancy nothing is left to explain
+        if len(rows) >= state.freedoms or (len(rows) and _gain_without(state, rows) >= needed):
+            found.append(where)
     return found
+
+
+def _gain_without(state: State, rows: Index) -> float:
+    """Return by how much the likelihood grows if some rows are left out: more than by any columns in these rows."""
+    others = Others.of(Fold(state.measurement, rows), state)
+    return float(state.freedoms / 2 * np.log(state.fit.squares / others.fit.squares))
 
 
 def _may_gain(lawful: Lawful, needed: float) -> bool:
