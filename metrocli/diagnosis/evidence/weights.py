@@ -112,11 +112,10 @@ def _system_weighted(measurement: Measurement, ratios: Mapping[int, float], fact
     """Return a measurement whose rows are multiplied by a factor, but not its candidates."""
     system = measurement.system
     basis, log_det = system.basis.weighted(factor)
-    solver = system.solver.weighted(system.basis, basis, factor, system.sizes[system.solver.places[1]])
-    bare = replace(system, basis=basis, solver=solver, scale=system.scale / factor)
+    new = replace(system, basis=basis, scale=system.scale / factor, unweighted=system.unweighted or system)
     return replace(
         measurement,
-        system=replace(bare, residual=bare.seen(system.residual * factor)),
+        system=replace(new, residual=new.seen(system.residual * factor)),
         noise=_noise_after(measurement, ratios),
         unweighted=measurement.unweighted or measurement,
         log_scale=measurement.log_scale + float(np.log(factor).sum()) - log_det / 2,

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from metrocli.adjust.decompositions import grams_of
 from metrocli.adjust.model.observations import Index
 from metrocli.diagnosis.evidence.held_out import Fold, Others
 from metrocli.diagnosis.evidence.parts import Fixed
@@ -18,7 +19,6 @@ from metrocli.diagnosis.evidence.prices import Prices
 from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.laws.library import Library, Place, Term, Where
 from metrocli.diagnosis.laws.terms import STEPS
-from metrocli.diagnosis.linear.basis import grams_of
 from metrocli.diagnosis.linear.counting import LEAST_TESTS
 from metrocli.diagnosis.linear.quadratics import quadratic
 from metrocli.frozen import dataclass

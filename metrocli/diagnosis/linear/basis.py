@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
+from metrocli.adjust.decompositions import grams_of, triangular_turn
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index, Mask
 from metrocli.frozen import dataclass
@@ -186,8 +187,6 @@ class Basis:
 
         The determinant is that of the Gram matrix of the multiplied columns, by which the new basis is orthonormal.
         """
-        from scipy.linalg import solve_triangular
-
         local = self.local * factor[:, None]
         gram = np.zeros((self.members + 1, local.shape[1], local.shape[1]))
         for i, j in combinations_with_replacement(range(local.shape[1]), 2):
@@ -209,8 +208,8 @@ class Basis:
         if shared.shape[1]:
             lower = np.linalg.cholesky(shared.T @ shared)
             log_det += 2 * float(np.log(np.diag(lower)).sum())
-            shared = solve_triangular(lower, shared.T, lower=True, overwrite_b=True, check_finite=False).T
-        return replace(local_basis, shared=np.ascontiguousarray(shared)), log_det
+            shared = triangular_turn(shared, np.linalg.inv(lower))
+        return replace(local_basis, shared=shared), log_det
 
     def _uneven(self, factor: Array) -> Index:
         """Return the rows of the members whose rows have different factors, (rows,)."""
@@ -292,12 +291,6 @@ def _has_few(columns: Array) -> bool:
     """Return whether few rows of some columns (rows, k) have a value, by some of them."""
     sample = columns[:: max(len(columns) // _SAMPLE, 1)]
     return bool(sample.any(axis=1).sum() < _FEW * len(sample))
-
-
-def grams_of(columns: Array) -> Array:
-    """Return the Gram matrix of each alternative, (k, q, q), of columns (rows, k, q)."""
-    by_alternative = columns.transpose(1, 0, 2)
-    return np.asarray(np.matmul(by_alternative.transpose(0, 2, 1), by_alternative))
 
 
 def flat_columns(values: Array) -> Array:

@@ -14,9 +14,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from metrocli.adjust.decompositions import grams_of
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index, Mask
-from metrocli.diagnosis.linear.basis import Basis, grams_of, without_gathering
+from metrocli.diagnosis.linear.basis import Basis, without_gathering
 from metrocli.diagnosis.linear.column_parts import ColumnPart, OwnColumns, StackedColumns, StepColumns, Steps
 
 if TYPE_CHECKING:

@@ -13,13 +13,14 @@ from dataclasses import replace
 
 import numpy as np
 
+from metrocli.adjust.decompositions import orthonormalised
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Mask
 from metrocli.diagnosis.linear.candidates import CandidateGroup
 from metrocli.diagnosis.linear.columns import CandidateColumns
 from metrocli.diagnosis.linear.distributions import log_tail
 from metrocli.diagnosis.linear.projection import VISIBLE, Linearised
-from metrocli.diagnosis.linear.quadratics import orthonormal, ranks_of, roots
+from metrocli.diagnosis.linear.quadratics import ranks_of, roots
 
 LEAST_TESTS = 50.0
 """Fewest independent tests that any library of terms amounts to"""
@@ -80,7 +81,7 @@ def of_some_members(
     rows = np.flatnonzero(kept)
     own = basis.at(rows)
     # whole members: their local columns stay orthonormal, and orthogonal to the shared ones
-    own = replace(own, shared=orthonormal(own.shared, VISIBLE))
+    own = replace(own, shared=orthonormalised(own.shared, VISIBLE)[0])
     fewer, lost = list[CandidateGroup](), 0
     for family in families:
         columns = family.columns.of_rows(kept)

@@ -11,14 +11,14 @@ from dataclasses import replace
 import numpy as np
 
 from metrocli.adjust.datum import Frame, open_frame
-from metrocli.adjust.decompositions import thin_svd
+from metrocli.adjust.decompositions import orthonormalised, thin_svd
 from metrocli.adjust.model.blocks import Array, Block
 from metrocli.adjust.model.groups import LinearGroup
 from metrocli.adjust.model.observations import Index, Mask
 from metrocli.adjust.schur.layout import Layout, tied_members, without_elimination
 from metrocli.diagnosis.linear.basis import Basis, members_of_equal_size
 from metrocli.diagnosis.linear.projection import MOST_NUMBERS, Linearised, by_rows, scatter
-from metrocli.diagnosis.linear.quadratics import orthonormalised, triangular
+from metrocli.diagnosis.linear.quadratics import triangular
 from metrocli.diagnosis.linear.solver import Solver
 from metrocli.effects.model import Model
 from metrocli.errors import InputError
@@ -174,7 +174,7 @@ def _factored(
     frame = None if model.datum is None else open_frame(model.datum, model.blocks, layout, reduced, sizes**2)
     # a free network leaves as many directions open as its frame has movements
     open_ones = 0 if frame is None else frame.reduced.shape[1]
-    unit, turn = _orthonormal(left, left.shape[1] - open_ones)
+    unit, turn = _orthonormal(left, gram, left.shape[1] - open_ones)
     # an unknown that no reading shows has a column of 0; its change is 0, and not 0/0
     factor = np.where(sizes > 0, 1 / np.where(sizes > 0, sizes, 1.0), 0.0)
     shared = factor[:, None] * turn
@@ -225,9 +225,9 @@ def _orthonormal_members(columns: Array, member: Index, members: int) -> tuple[A
     return basis, inverses
 
 
-def _orthonormal(columns: Array, rank: int) -> tuple[Array, Array]:
+def _orthonormal(columns: Array, gram: Array, rank: int) -> tuple[Array, Array]:
     """Return an orthonormal basis (rows, rank) of columns (rows, q), and the turn (q, rank) that gives it."""
-    unit, turn = orthonormalised(columns, _WELL)
+    unit, turn = orthonormalised(columns, _WELL, gram)
     # the Gram matrix has lost the digits that tell the last directions from the open ones; the SVD keeps them
     if turn.shape[1] != rank:
         u, s, vt = thin_svd(columns)

@@ -47,8 +47,8 @@ class Linearised:
     """Whitened residuals (rows,)"""
     basis: Basis
     """Columns b with `b b' = J (J'J)^- J'`"""
-    solver: Solver
-    """From `b' values` to the unknowns, in the datum of the model"""
+    solver_of_model: Solver
+    """From `b' values` to the unknowns, in the datum of the model, by the basis before its rows were weighted"""
     first: Mapping[str, int]
     """The first row of each group"""
     scale: Array
@@ -57,6 +57,8 @@ class Linearised:
     """Norm of J's column of each unknown, (unknowns,)"""
     idle: int = 0
     """Number of rows that are left out; they are zero everywhere"""
+    unweighted: Linearised | None = None
+    """The system before its rows were multiplied by weights; None if it is this one"""
     runs: dict[str, ChainValues] = field(default_factory=dict, compare=False, repr=False)
     """Cache of the values along the chains, by group"""
     sets_of_rows: list[Index] = field(default_factory=list, compare=False, repr=False)
@@ -66,6 +68,15 @@ class Linearised:
     def rows(self) -> int:
         """Number of rows."""
         return len(self.residual)
+
+    @cached_property
+    def solver(self) -> Solver:
+        """From `b' values` to the unknowns, in the datum of the model; most weights that are tried never need it."""
+        bare = self.unweighted
+        if bare is None:
+            return self.solver_of_model
+        sizes = bare.sizes[self.solver_of_model.places[1]]
+        return self.solver_of_model.weighted(bare.basis, self.basis, bare.scale / self.scale, sizes)
 
     @cached_property
     def dof(self) -> int:
@@ -150,7 +161,7 @@ class Linearised:
 
     def is_local(self, block: str) -> bool:
         """Return whether the unknowns of a block are removed member by member."""
-        places = self.solver.places[0]
+        places = self.solver_of_model.places[0]
         return places.size > 0 and bool(np.isin(places[places >= 0], self.entries(block)).all())
 
     def absorbed(self, values: Array) -> Array:

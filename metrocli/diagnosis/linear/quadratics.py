@@ -11,8 +11,6 @@ from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Mask
 from metrocli.diagnosis.linear.projection import FLAT, VISIBLE
 
-_EVEN = 0.01
-"""Eigenvalue of a Gram matrix, relative to the largest, above which its eigenvectors need no second step"""
 _NOTHING = 1e-150
 """Size below which a column is 0: its square is"""
 
@@ -63,38 +61,6 @@ def quadratic(gram: Array, right: Array, scale: Array) -> tuple[Array, Array]:
     root = roots(gram, scale)
     along = np.einsum("kqv,kq->kv", root, right)
     return (along**2).sum(axis=1), ranks_of(root)
-
-
-def whitening(gram: Array, bound: float) -> tuple[Array, bool]:
-    """Return the turn (q, k) that makes columns of a Gram matrix orthonormal, and whether one such step is enough.
-
-    It leaves out directions whose squares are not above `bound`.
-    """
-    values, vectors = np.linalg.eigh(gram)
-    kept = values > bound
-    step = vectors[:, kept] / np.sqrt(values[kept])
-    return step, not kept.any() or bool(values[kept][0] > _EVEN * values[-1])
-
-
-def orthonormal(columns: Array, least: float) -> Array:
-    """Return an orthonormal basis of the span of columns (rows, q), of singular values above `least`."""
-    return orthonormalised(columns, least)[0]
-
-
-def orthonormalised(columns: Array, least: float) -> tuple[Array, Array]:
-    """Return an orthonormal basis (rows, k) of the span of columns (rows, q), and the turn (q, k) that gives it.
-
-    It uses the eigenvectors of the Gram matrix (as Cholesky QR does), which is far faster than an SVD for many rows;
-    twice where their sizes differ much. Directions of singular values below `least` are left out.
-    """
-    bound, turn = least**2, np.eye(columns.shape[1])
-    for _ in range(2):
-        step, even = whitening(columns.T @ columns, bound)
-        # the second step has unit columns but for rounding; directions were left out by the first one
-        columns, turn, bound = columns @ step, turn @ step, 0.0
-        if even:
-            break
-    return columns, turn
 
 
 def factored(gram: Array, priors: Array | float = 0.0) -> Array:
