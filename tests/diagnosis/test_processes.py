@@ -291,7 +291,7 @@ def test_the_size_of_a_process_is_that_of_the_readings_that_have_it(station: int
     m = measurement_of(adjusted_job_of(load(network(np.random.default_rng(61), 3, 40, faces=2).write(tmp_path))))
     part, shares = m.correlated(0, m.lengths(0)[-1], station), []
     assert m.knots[0].functions.by == "station" and part.columns.any(axis=1).mean() > (0.9 if station < 0 else 0.3)
-    for seed in range(8):
+    for seed in range(40):
         rng = np.random.default_rng(seed)
         off = 3 * part.columns @ rng.normal(size=part.columns.shape[1])
         drawn = with_residual(m, rng.normal(size=m.system.rows) + off)
@@ -301,7 +301,8 @@ def test_the_size_of_a_process_is_that_of_the_readings_that_have_it(station: int
         left = m.system.seen(off)
         sizes = [np.sqrt(np.mean((one * m.system.scale)[rows] ** 2)) for one in (off, left)]
         shares.append([found.std / sizes[0], found.std * found.visible / sizes[1]])
-    assert np.median(shares, axis=0) == pytest.approx([1, 1], abs=0.1)
+    # of a single draw the first has a standard deviation of 23 %: it includes what the unknowns absorb
+    assert np.median(shares, axis=0) == pytest.approx([1, 1], abs=0.15)
 
 
 def test_what_wavers_in_another_unit_than_the_misfit_is_no_small_share_of_it() -> None:
