@@ -86,11 +86,16 @@ def carry_out(
     progress.doing("adjusting")
     held = counting(read_inputs(job), progress)
     adjusted, mistaken = without_mistakes(held, adjust, _others(job, held, adjust))
-    diagnosis = None if first is None else diagnose(adjusted, progress, limit, attended, ordered, quick=True)
-    if first is not None and diagnosis is not None:
-        first(diagnosis)
-    if diagnosis is None or not diagnosis.interrupted:  # one interruption ends both
+    answer = None if first is None else diagnose(adjusted, progress, limit, attended, ordered, quick=True)
+    if first is not None and answer is not None:
+        first(answer)
+    if answer is not None and answer.interrupted:  # one interruption ends both
+        diagnosis = answer
+    else:
         diagnosis = diagnose(adjusted, progress, limit, attended, counted(ordered, progress), quick)
+    if answer is not None and answer.findings and diagnosis.ended_early and not diagnosis.findings:
+        # what was shown as found stays where the time was spent before the whole search came to it
+        diagnosis = replace(answer, limited=diagnosis.limited, interrupted=diagnosis.interrupted)
     if mistaken is not None and mistaken.after >= mistaken.before and diagnosis.findings:
         mistaken = None  # a wrong list that no correction mends explains less than an effect does
     return replace(diagnosis, mistaken=mistaken)

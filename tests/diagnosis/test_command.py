@@ -650,3 +650,20 @@ def test_an_interrupted_first_answer_is_the_answer(folder: Path) -> None:
     told = list[Diagnosis]()
     found = carry_out(load(write(folder, measured("tracer-scale"))), attended=attended, first=told.append)
     assert [one.interrupted for one in told] == [True] and found.quick and found.verdict == "not-decided"
+
+
+def test_what_was_shown_as_found_stays_where_the_time_is_spent_before_it_is_found_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def diagnosed_in_time(job: Any, *_: Any, quick: bool = False) -> Diagnosis:
+        return diagnose(job, limit=60.0 if quick else 0.0, quick=quick)
+
+    # the whole one is called with all its options in a row
+    monkeypatch.setattr(diagnosed, "diagnose", diagnosed_in_time)
+    shown = list[Diagnosis]()
+    told = carry_out(load(write(tmp_path, measured("tracer-drift", 5.0))), first=shown.append)
+    names = [str(finding.effect.alternative) for finding in told.findings]
+    assert names == [str(finding.effect.alternative) for finding in shown[0].findings]
+    assert names
+    assert told.ended_early
+    assert not carry_out(load(tmp_path / "job.yaml")).findings
