@@ -15,6 +15,7 @@ from metrocli.diagnosis.evidence.folds import gain_of_parts
 from metrocli.diagnosis.evidence.measurement import LENGTHS
 from metrocli.diagnosis.evidence.moves import effects
 from metrocli.diagnosis.evidence.parts import CORRELATED, EFFECT, SCATTER, Fixed, Random
+from metrocli.diagnosis.evidence.prices import ALIKE
 from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.evidence.weights import tried_noise
 from metrocli.diagnosis.extended_fit import readings_kept, result_change, with_random_effect
@@ -24,10 +25,6 @@ from metrocli.diagnosis.linear.projection import READING
 from metrocli.diagnosis.noise import AS_OTHERS
 from metrocli.effects.effect import Effect
 
-AS_LIKELY = float(np.log(20.0))
-"""Difference of log-likelihoods up to which two variances explain the readings alike"""
-_OF_A_PLACE = float(np.log(5.0))
-"""The same for larger noise at the place of an effect: that is less of an answer than what fits all its readings"""
 _MOST_ROWS = 8
 """Largest number of rows of a unit, for each parameter of an effect at it, whose noise can imitate the effect"""
 
@@ -69,7 +66,7 @@ def _as_likely(state: State, less: State) -> tuple[Instead, ...]:
     for number, (key, name, _) in enumerate(state.measurement.units):
         if key == READING and number not in state.measurement.noise:
             ahead = tried_noise(less, {number: less.ratio_of(number)}).score - state.score
-            if ahead > -AS_LIKELY:
+            if ahead > -ALIKE:
                 # exp overflows above 709
                 candidates.append(Instead("noise", {READING: name}, float(np.exp(min(ahead, 700.0)))))
     return tuple(candidates)
@@ -87,7 +84,7 @@ def noise_instead(state: State, part: Fixed) -> tuple[Instead, ...]:
             less = state.minus([part])
             # at least the ratio from which a noise is reported: a smaller one is that of all readings, and no answer
             ahead = tried_noise(less, {number: max(less.ratio_of(number), AS_OTHERS)}).score - state.score
-            if ahead > -_OF_A_PLACE:
+            if ahead > -ALIKE:
                 noises.append(Instead("noise", {key: name}, float(np.exp(min(ahead, 700.0)))))
     return tuple(noises)
 

@@ -10,6 +10,7 @@ from metrocli.diagnosis.correlated_error import CorrelatedError
 from metrocli.diagnosis.detectability import Detectability
 from metrocli.diagnosis.evidence.gain import Gain
 from metrocli.diagnosis.evidence.identified import IdentifiedEffect
+from metrocli.diagnosis.evidence.prices import LITTLE
 from metrocli.diagnosis.extended_fit import EffectSize
 from metrocli.diagnosis.laws.search import Law
 from metrocli.diagnosis.linear.projection import READING
@@ -35,10 +36,6 @@ class Verdict(StrEnum):
     """A file has a mistake; the rest of the diagnosis is for the corrected job"""
     NOT_DECIDED = "not-decided"
     """A quick diagnosis, which did not look for all that could be left"""
-
-
-_LITTLE = 0.05
-"""Share of a misfit up to which what is left leaves it explained"""
 
 
 @dataclass(frozen=True)
@@ -198,7 +195,7 @@ class Diagnosis:
     def _little_is_left(self) -> bool:
         """Whether what is left is declared, or a small part of a misfit that identified effects explain."""
         left = self.left
-        return left is not None and (left.declared or (left.share is not None and left.share + left.beside < _LITTLE))
+        return left is not None and (left.declared or (left.share is not None and left.share + left.beside < LITTLE))
 
     @property
     def ended_early(self) -> str:

@@ -10,6 +10,7 @@ from metrocli import units
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.detectability import Detectability, DetectableCandidate, WrongReading
 from metrocli.diagnosis.evidence.identified import IdentifiedEffect
+from metrocli.diagnosis.evidence.prices import LITTLE
 from metrocli.diagnosis.hidden_change import POWER, UndetectedBias
 from metrocli.diagnosis.linear.candidates import Candidate
 from metrocli.diagnosis.power.average_power import ScatterCandidate
@@ -35,8 +36,6 @@ class Status(StrEnum):
 UNCHECKED = "no reading is checked by the others"
 ENDED = "the search ended before this was decided"
 UNCONFIRMED = "its evidence would name it, but held-out readings do not confirm it or what stands for it"
-_SWALLOWED = 0.1
-"""Share of a signature that correlated errors and other effects must leave, so that the readings separate it"""
 _SMALLEST = 0.01
 """Smallest number to which a usual size with a unit of its own is converted"""
 
@@ -64,7 +63,7 @@ def excluded_above(candidate: DetectableCandidate) -> float:
 
 def is_swallowed(candidate: DetectableCandidate) -> bool:
     """Whether what was found besides the unknowns leaves too little of a signature to tell it apart."""
-    return candidate.share < _SWALLOWED
+    return candidate.share < LITTLE
 
 
 def spots(name: IdentifiedEffect) -> set[tuple[str, tuple[str, ...]]]:

@@ -21,7 +21,7 @@ from metrocli.diagnosis.evidence.held_out import Others, fold_numbers
 from metrocli.diagnosis.evidence.identified import IdentifiedEffect, all_identified
 from metrocli.diagnosis.evidence.likelihood import Fit
 from metrocli.diagnosis.evidence.parts import EFFECT, Fixed, Random
-from metrocli.diagnosis.evidence.prices import FURTHER, OF_ALL
+from metrocli.diagnosis.evidence.prices import FURTHER, LEVEL, OF_ALL
 from metrocli.diagnosis.evidence.state import State
 from metrocli.frozen import dataclass
 
@@ -33,8 +33,6 @@ _FEWEST = 4
 """Fewest units from whose scatter a variance is taken"""
 _RATHER_LARGE = 2.0
 """Largest factor that white noise alone may give: a jackknife is rather too large, which few units need"""
-_NOTHING = 0.01
-"""Level from which the size of an effect may be nothing"""
 _INFLATION = 1.5
 """Variance inflation from which other parts can stand for an effect: they share a third of its information"""
 
@@ -171,7 +169,7 @@ def least_sure(state: State, effects: Sequence[IdentifiedEffect]) -> Fixed | Non
     Two that nearly cancel each other may both pay, at sizes that hinge on a few images. An effect whose columns are not
     those of others stays, with the uncertainty that it has.
     """
-    unsure = {effect.key for effect in effects if effect.level_of_size > _NOTHING} & _collinear(state)
+    unsure = {effect.key for effect in effects if effect.level_of_size > LEVEL} & _collinear(state)
     nets = zip(state.without_fixed().tolist(), state.fixed, strict=True) if unsure else ()
     own = [(net, part) for net, part in nets if part.sort == EFFECT and part.key in unsure]
     return min(own, key=lambda one: one[0])[1] if own else None

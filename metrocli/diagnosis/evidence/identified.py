@@ -10,7 +10,7 @@ import numpy as np
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Mask
 from metrocli.diagnosis.evidence.parts import Fixed
-from metrocli.diagnosis.evidence.prices import gain_of_columns
+from metrocli.diagnosis.evidence.prices import ALIKE, gain_of_columns
 from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.linear.candidates import Candidate
 from metrocli.diagnosis.linear.distributions import log_family, log_tail
@@ -18,8 +18,6 @@ from metrocli.diagnosis.linear.projection import FLAT, VISIBLE
 from metrocli.diagnosis.linear.quadratics import quadratic
 from metrocli.frozen import dataclass
 
-_ODDS = float(np.log(20.0))
-"""ln of the odds against another effect up to which it explains the readings as well"""
 _NOT_APART, _WIDE = 6.6, 0.3
 """Non-centrality below which two effects cannot be distinguished, and the least cosine for that"""
 _SHOWS = 1.0
@@ -157,7 +155,7 @@ def explains_as_well(log_odds: Array, cosines2: Array, shown: Array | float) -> 
     explain. `shown` is what the effect takes off the squares, over the variance. A rival has nearly as much evidence,
     or the readings cannot separate the two.
     """
-    return np.asarray((log_odds > -_ODDS) | ((cosines2 > _WIDE**2) & ((1 - cosines2) * shown < _NOT_APART)))
+    return np.asarray((log_odds > -ALIKE) | ((cosines2 > _WIDE**2) & ((1 - cosines2) * shown < _NOT_APART)))
 
 
 def _rivals(less: State, part: Fixed, values: Array, variance: float) -> tuple[Rival, ...]:

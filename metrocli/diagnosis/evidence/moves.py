@@ -13,6 +13,7 @@ import numpy as np
 from metrocli.adjust.robust import SAME
 from metrocli.diagnosis.evidence.measurement import Measurement
 from metrocli.diagnosis.evidence.parts import CORRELATED, EFFECT, SCATTER, Fixed, Random
+from metrocli.diagnosis.evidence.prices import ALIKE
 from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.evidence.variances import Found, correlated_errors, noisier_groups, scattered_effects
 from metrocli.diagnosis.evidence.weights import tried_noise, with_noise
@@ -22,8 +23,6 @@ from metrocli.diagnosis.noise import AS_OTHERS, DECLARED_SIGMA
 from metrocli.errors import InputError
 from metrocli.frozen import dataclass
 
-ALIKE = float(np.log(20.0))
-"""Difference of scores up to which two causes explain the readings alike"""
 _CORRELATED = 4
 """Largest number of correlated errors: what more of them explain is small beside these"""
 _AT_ONCE = 60

@@ -18,7 +18,11 @@ from metrocli.diagnosis.linear.projection import Linearised
 from metrocli.frozen import dataclass
 
 LEVEL = 0.03
-"""Share of measurements of white noise in which an effect is named"""
+"""Share of measurements of white noise in which an effect is named, or keeps a size that others can stand for"""
+ALIKE = float(np.log(20.0))
+"""Difference of evidence up to which two explanations explain the readings alike"""
+LITTLE = 0.05
+"""Share up to which what is left of a misfit leaves it explained, and that of a signature is too little to see it"""
 FURTHER = float(np.log(3.0))
 """What a further effect pays beyond the first: a third of the level"""
 _LOG_ODDS = 2.0

@@ -14,7 +14,7 @@ from metrocli.adjust.model.blocks import Array
 from metrocli.diagnosis.evidence.identified import Alias
 from metrocli.diagnosis.evidence.measurement import Measurement
 from metrocli.diagnosis.evidence.parts import Fixed
-from metrocli.diagnosis.evidence.prices import gain_of_columns
+from metrocli.diagnosis.evidence.prices import ALIKE, gain_of_columns
 from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.linear.candidates import Candidate, CandidateGroup
 from metrocli.diagnosis.linear.column_parts import OwnColumns
@@ -26,8 +26,8 @@ from metrocli.frozen import dataclass
 
 _TRIED = 40
 _ROUNDS = 2
-_ALIKE, _APART = float(np.log(1 / 20)), 0.02
-"""ln of the odds from which another value of a scan explains the readings as well, and how far off it is, relatively"""
+_APART = 0.02
+"""How far off another value of a scan is that explains the readings as well, relatively"""
 _NEAR, _STARTS = 0.7, 5
 """Values of a scan that explain at least this share of what its best one does are refined too, at most so many"""
 
@@ -150,9 +150,9 @@ class _Scan:
         found = []
         for peak in peaks:
             value, here = self.value(peak), self.value(best)
-            if abs(value - here) > _APART * abs(here) and self._odds(peak, best) > _ALIKE:
+            if abs(value - here) > _APART * abs(here) and self._odds(peak, best) > -ALIKE:
                 middle = self.at(best.alternative, (value + here) / 2)
-                if middle is not None and self._odds(middle, best) < _ALIKE:
+                if middle is not None and self._odds(middle, best) < -ALIKE:
                     found.append((self.name, value, float(np.exp(self._odds(peak, best)))))
         return found
 

@@ -11,8 +11,9 @@ from dataclasses import replace
 import numpy as np
 
 from metrocli.diagnosis.evidence.likelihood import fit_at
-from metrocli.diagnosis.evidence.moves import ALIKE, Move, effects, moves, readings
+from metrocli.diagnosis.evidence.moves import Move, effects, moves, readings
 from metrocli.diagnosis.evidence.parts import CORRELATED, Fixed, Random
+from metrocli.diagnosis.evidence.prices import ALIKE
 from metrocli.diagnosis.evidence.refined import refined
 from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.evidence.weights import with_noise
@@ -28,8 +29,6 @@ _NEAR = 3.0
 _MOST_TRIED = 3
 _SWAPS, _CERTAIN, _TRIED = 3, 30.0, 3
 """Rounds of swaps, the net evidence beyond which a part is not tried to be replaced, and by how many others"""
-_NEARLY = float(np.log(5.0))
-"""Difference up to which an effect is preferred to a correlated error: real readings nearly always have one"""
 
 _Tried = tuple[float, Callable[[], State], Move]
 """Score of a move, what makes the state after it, and the move"""
@@ -114,9 +113,8 @@ def _best(state: State, possible: Sequence[Move]) -> State | None:
     # a sigma that the job states explains as much as an effect at all places: it is what can be corrected
     given = [one for one in alike if one[2].given]
     # so can an effect: noise of its place, or a correlated error, does not say what is wrong there
-    least = best[0] - (ALIKE if chosen.noise is not None else _NEARLY)
     says_little = chosen.noise is not None or chosen.has_correlated
-    names = [one for one in alike if one[2].is_cause and one[0] > least] if says_little else []
+    names = [one for one in alike if one[2].is_cause] if says_little else []
     return next(iter(given), max(names, key=lambda one: one[0], default=best))[1]()
 
 
@@ -206,8 +204,8 @@ def _margin(state: State, other: State, gone: Fixed | Random) -> float:
         return ALIKE
     more = len(other.named) - len(state.named)
     if more > 0:
-        return -_NEARLY if isinstance(gone, Random) and gone.kind == CORRELATED else _GAINED
-    return _NEARLY if more < 0 else _GAINED
+        return -ALIKE if isinstance(gone, Random) and gone.kind == CORRELATED else _GAINED
+    return ALIKE if more < 0 else _GAINED
 
 
 def _others_in_turn(state: State, but: Fixed | Random) -> float:
