@@ -13,10 +13,10 @@ from metrocli.diagnosis.correlated_error import CorrelatedError
 from metrocli.diagnosis.evidence.identified import IdentifiedEffect
 from metrocli.diagnosis.findings import Diagnosis, RandomEffect
 from metrocli.effects.effect import Parameter
-from metrocli.nodes import Node
+from metrocli.nodes import Node, node_of
 from metrocli.units import parse_quantity
 
-MODEL = "model"
+_MODEL = "model"
 """Key beside the declared parts of a noise"""
 
 
@@ -104,7 +104,7 @@ def declared_noise(node: Node | None) -> str:
     if node.kind == "scalar":
         return node.text
     return ", ".join(
-        filter(None, (_declared_part(key.text, entry) for key, entry in node.entries if key.text != MODEL))
+        filter(None, (_declared_part(key.text, entry) for key, entry in node.entries if key.text != _MODEL))
     )
 
 
@@ -115,5 +115,13 @@ def _declared_part(key: str, node: Node) -> str:
 
 def model_of(node: Node | None) -> str:
     """Return `estimated` or `structured` if the job has it, alone or beside declared parts; else ''."""
-    text = node.get(MODEL) if node is not None and node.kind == "mapping" else node
+    text = node.get(_MODEL) if node is not None and node.kind == "mapping" else node
     return text.text if text is not None and text.text in FROM_RESIDUALS else ""
+
+
+def with_model(root: Node, declared: Node, model: str) -> Node:
+    """Return the noise of a job with a model: beside its declared parts, else in their place."""
+    if declared.kind != "mapping":
+        return node_of(root, model)
+    parts = tuple((key, value) for key, value in declared.entries if key.text != _MODEL)
+    return replace(declared, entries=(*parts, (node_of(root, _MODEL), node_of(root, model))))

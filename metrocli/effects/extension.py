@@ -24,7 +24,7 @@ from metrocli.words import suggestion
 ELSEWHERE = "elsewhere"
 """Member of an effect's block for the readings on which the effect does not act; it stays at 0"""
 _UNTOUCHED = "has no influence on the readings"
-_REACH = 1000.0
+REACH = 1000.0
 """An effect whose uncertainty exceeds its plausible size by this factor is undetermined"""
 
 
@@ -241,7 +241,7 @@ def _block(
     rows, frees = np.tile(row, (len(members), 1)), np.tile(free, (len(members), 1))
     if apart:
         rows[0], frees[0] = 0.0, False
-    reach = np.array([_REACH * p.plausible for p in effect.all_parameters])
+    reach = np.array([REACH * p.plausible for p in effect.all_parameters])
     return Block(
         name, rows, tuple(p.name for p in effect.all_parameters), members, frees, reach=reach, space=effect.space
     )
@@ -286,7 +286,7 @@ def _freed(model: Model, effect: Effect, instances: tuple[tuple[str, ...], ...],
     """Return the model with columns of one of its own blocks set free, or moved by the given values."""
     block = model.blocks[effect.columns_of]
     missing = [p for p in effect.parameters if p.name not in block.columns]
-    block = block.with_columns(tuple(p.name for p in missing), _REACH * np.array([p.plausible for p in missing]))
+    block = block.with_columns(tuple(p.name for p in missing), REACH * np.array([p.plausible for p in missing]))
     rows = [block.members.index(instance[0]) for instance in instances] if effect.keys else slice(None)
     moved, free, columns = block.values.copy(), block.free.copy(), []
     for parameter in effect.parameters:

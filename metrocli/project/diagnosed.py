@@ -19,7 +19,6 @@ from metrocli.diagnosis.detectability import Detectability
 from metrocli.diagnosis.diagnose import LIMIT, Attended, diagnose, no_interrupt, what_can_be_seen
 from metrocli.diagnosis.findings import Diagnosis
 from metrocli.diagnosis.job_entries import (
-    MODEL,
     as_job,
     correlated_as_job,
     declared_noise,
@@ -29,6 +28,7 @@ from metrocli.diagnosis.job_entries import (
     proposed_noise,
     scatter_as_job,
     with_declared,
+    with_model,
 )
 from metrocli.diagnosis.laws.definition import as_define, as_wanted
 from metrocli.diagnosis.laws.search import Law
@@ -162,7 +162,8 @@ def write_extended(
 
     `result` is the output of that job, by default `NAME.extended.h5` beside the output of this one. Structure that is
     left stands in it as correlated errors, as a law with `cause: unknown` (the chosen one, or the next simpler one with
-    which the job can be adjusted), or as structured noise. Returns None if nothing changes.
+    which the job can be adjusted), or as structured noise. Returns None if nothing changes, or if the job cannot be
+    adjusted with it.
     In another folder, its paths lead to the same files. Parameters that the readings do not determine separately are 0.
     Raises InputError if the file there is no extended job or was edited since, unless forced, and if it is an input.
     """
@@ -177,11 +178,12 @@ def write_extended(
         _write(job, diagnosis, law, (path, result))
         if _adjusts(path):
             return Extended(path, law)
-    if not others:
-        path.unlink(missing_ok=True)
-        return None
-    _write(job, diagnosis, None, (path, result))
-    return Extended(path, None)
+    if others:
+        _write(job, diagnosis, None, (path, result))
+        if diagnosis.adjusts or _adjusts(path):
+            return Extended(path, None)
+    path.unlink(missing_ok=True)
+    return None
 
 
 def _from_the_chosen(diagnosis: Diagnosis) -> Sequence[Law]:
@@ -292,12 +294,4 @@ def _noise(job: JobFile, declared: Node, diagnosis: Diagnosis) -> Node:
     """Return the noise of a job with the scatters that it can declare, and the model that is proposed."""
     for scatter in diagnosis.scatters:
         declared = with_declared(declared, scatter) if declares(declared, scatter) else declared
-    return _with_model(job, declared, model) if (model := proposed_noise(diagnosis)) else declared
-
-
-def _with_model(job: JobFile, declared: Node, model: str) -> Node:
-    """Return the noise of a job with a model: beside its declared parts, else in their place."""
-    if declared.kind != "mapping":
-        return node_of(job.root, model)
-    parts = tuple((key, value) for key, value in declared.entries if key.text != MODEL)
-    return replace(declared, entries=(*parts, (node_of(job.root, MODEL), node_of(job.root, model))))
+    return with_model(job.root, declared, model) if (model := proposed_noise(diagnosis)) else declared

@@ -667,3 +667,39 @@ def test_what_was_shown_as_found_stays_where_the_time_is_spent_before_it_is_foun
     assert names
     assert told.ended_early
     assert not carry_out(load(tmp_path / "job.yaml")).findings
+
+
+def test_a_cause_out_of_reach_of_coarse_readings_is_no_rival(tmp_path: Path, metrocli: Metrocli) -> None:
+    """Ranges of a radio to a vehicle in a plane: a cube corner, of micrometres, has the signature of their zero."""
+    rng = np.random.default_rng([93, 4])
+    beacons = np.array([[-40e3, 9e3], [14e3, -9e3], [22e3, 24e3], [-18e3, 59e3]])
+    places = rng.uniform([-45e3, -10e3], [25e3, 65e3], (240, 2))
+    at = rng.integers(4, size=240)
+    ranges = np.linalg.norm(places - beacons[at], axis=1) + 1400.0 + 500.0 * rng.normal(size=240)
+    for name, header, rows in (
+        ("points", "point,x_mm,y_mm,z_mm,sigma_mm", [f"R{i},{x},{y},0,0" for i, (x, y) in enumerate(places.tolist())]),
+        (
+            "tracers",
+            "tracer,x_mm,y_mm,z_mm,sigma_x_mm,sigma_y_mm,sigma_z_mm",
+            [f"B{i},{x},{y},0,,,0" for i, (x, y) in enumerate(beacons.tolist())],
+        ),
+        (
+            "lengths",
+            "point,tracer,length_mm",
+            [f"R{i},B{b},{r}" for i, (b, r) in enumerate(zip(at, ranges, strict=True))],
+        ),
+    ):
+        (tmp_path / f"{name}.csv").write_text("\n".join([header, *rows, ""]))
+    (tmp_path / "job.yaml").write_text(
+        "metrocli: 1\njob: multilaterate\nmeasures: absolute\nnoise: {constant: 500 mm}\noutput: out.h5\n"
+        "inputs: {lengths: lengths.csv, points: points.csv, tracers: tracers.csv}\n"
+    )
+    ran = metrocli("diagnose", tmp_path / "job.yaml", "--json")
+    told = json.loads(ran.out)
+    assert [(one["name"], [other["name"] for other in one["alternatives"]]) for one in told["effects"]] == [
+        ("length-offset", [])
+    ]
+    (incidence,) = [one for one in told["candidates"] if one["name"] == "reflector-incidence"]
+    assert incidence["status"] == "not-tested"
+    assert incidence["reason"].endswith("beyond the plausible")
+    assert metrocli("multilaterate", told["extended_job"]).code in (0, 6)

@@ -19,9 +19,9 @@ from metrocli.diagnosis.evidence.measurement import Measurement
 from metrocli.diagnosis.evidence.moves import moves
 from metrocli.diagnosis.evidence.search import forward
 from metrocli.diagnosis.evidence.state import State
-from metrocli.diagnosis.linear.candidates import families_of
 from metrocli.diagnosis.linear.counting import effective_number_of_tests
 from metrocli.diagnosis.linear.distributions import chi_interval, log_family, log_tail, noncentrality, single_level
+from metrocli.diagnosis.linear.families import families_of
 from metrocli.diagnosis.linear.quadratics import quadratic
 from metrocli.diagnosis.linear.signatures import signature
 from metrocli.diagnosis.power.average_power import size_found

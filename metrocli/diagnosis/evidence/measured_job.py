@@ -19,8 +19,9 @@ from metrocli.diagnosis.evidence.functions import process_bases
 from metrocli.diagnosis.evidence.measurement import Measurement
 from metrocli.diagnosis.evidence.parts import Knots
 from metrocli.diagnosis.evidence.prices import counted
-from metrocli.diagnosis.linear.candidates import Candidate, CandidateGroup, families_of, families_throughout
+from metrocli.diagnosis.linear.candidates import Candidate, CandidateGroup
 from metrocli.diagnosis.linear.columns import CandidateColumns
+from metrocli.diagnosis.linear.families import families_of, families_throughout
 from metrocli.diagnosis.linear.linearised import linearised
 from metrocli.diagnosis.linear.projection import Linearised
 from metrocli.diagnosis.linear.signatures import signature

@@ -14,14 +14,11 @@ from metrocli.adjust.model.blocks import Array, Block
 from metrocli.adjust.model.chain import LinkContext, through
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Mask
-from metrocli.diagnosis.linear.column_parts import OwnColumns, StepColumns
 from metrocli.diagnosis.linear.projection import Linearised, scatter
 from metrocli.effects.effect import Effect
 from metrocli.effects.extension import with_effect
 from metrocli.effects.links.own import NoValueAtReadingError
 from metrocli.effects.model import Model
-
-BEYOND = "the measurement sees only sizes beyond the plausible"
 
 
 def signature(
@@ -30,17 +27,6 @@ def signature(
     """Return the whitened columns of an effect at one place, (rows, parameters)."""
     full, _, _ = next(scan(model, system, effect, [place], [scanned]))
     return full
-
-
-def beyond_plausible(
-    system: Linearised, own: OwnColumns | StepColumns, effect: Effect, parameters: Sequence[str]
-) -> bool:
-    """Return whether the measurement sees a cause only where each of its parameters is larger than plausible."""
-    whole = np.zeros((system.rows, len(parameters)))
-    whole[own.rows] = own.values
-    plausible = {parameter.name: parameter.plausible for parameter in effect.parameters}
-    least = np.linalg.norm(system.seen(whole), axis=0) * [plausible[name] for name in parameters]
-    return bool((least < 1).all())
 
 
 def scan(

@@ -10,7 +10,7 @@ import pytest
 from benchmarks.hidden_effects import KINDS
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.linear import signatures
-from metrocli.diagnosis.linear.candidates import instances
+from metrocli.diagnosis.linear.families import instances
 from metrocli.diagnosis.linear.linearised import linearised
 from metrocli.diagnosis.linear.projection import scatter
 from metrocli.effects.extension import can_act
