@@ -52,7 +52,7 @@ def distort(
     top_by = g["k1"] + r2 * (2 * g["k2"] + r2 * (3 * g["k3"] + last_by))
     radial, radial_by, below = top, top_by, None
     # the denominator is left out where it is 1: most lenses have no rational terms, and the division costs
-    if not fisheye and any(name in wanted or np.any(k.get(name, False)) for name in RATIONAL):
+    if not fisheye and any(name in wanted or _acts(k, name) for name in RATIONAL):
         bottom = 1 + r2 * (g["k4"] + r2 * (g["k5"] + r2 * g["k6"]))
         below = 1 / bottom
         radial = top * below
@@ -62,14 +62,20 @@ def distort(
     cross = 2 * xy * radial_by + 2 * (g["p1"] * x + g["p2"] * y)
     by_x = (radial + 2 * xx * radial_by + 2 * g["p1"] * y + 6 * g["p2"] * x, cross)
     by_y = (cross, radial + 2 * yy * radial_by + 6 * g["p1"] * y + 2 * g["p2"] * x)
-    if any(np.any(k.get(name, False)) for name in PRISM):
+    if any(_acts(k, name) for name in PRISM):
         slope_x, slope_y = 2 * g["s1"] + 4 * g["s2"] * r2, 2 * g["s3"] + 4 * g["s4"] * r2
         xd, yd = xd + r2 * (g["s1"] + g["s2"] * r2), yd + r2 * (g["s3"] + g["s4"] * r2)
         by_x = (by_x[0] + x * slope_x, by_x[1] + x * slope_y)
         by_y = (by_y[0] + y * slope_x, by_y[1] + y * slope_y)
     flat = Distorted(xd, yd, by_x, by_y, _terms(x, y, radial, below, wanted, radials))
-    tilts = any(name in wanted or np.any(k.get(name, False)) for name in TILT)
+    tilts = any(name in wanted or _acts(k, name) for name in TILT)
     return _tilted(flat, k, wanted) if tilts else flat
+
+
+def _acts(k: Mapping[str, float | Array], name: str) -> bool:
+    value = k.get(name, 0.0)
+    # for plain numbers `np.any` takes as long as the arithmetic with a few points
+    return value != 0.0 if isinstance(value, float) else bool(np.any(value))
 
 
 def _terms(
