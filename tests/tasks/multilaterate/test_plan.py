@@ -34,17 +34,20 @@ from metrocli.tasks.multilaterate.distance import distance
 from metrocli.tasks.shared.part import Part
 
 
-def planned(net: Network, scale: float | None = None, **more: Any) -> Plan:
-    """The plan of a network with the points where they are meant to be."""
-    points = replace(net, nominal=net.points).point_table()
-    return multilaterate.plan(
-        multilaterate.TASK.job(settings(scale), points=points, tracers=net.tracer_table(0.0), **more)
-    )
-
-
 def candidates(at: np.ndarray) -> Table:
     names = np.array([f"K{i}" for i in range(len(at))])
     return Table({"candidate": names, **dict(zip("xyz", at.T, strict=True))}, dict.fromkeys("xyz", "mm"))
+
+
+ONE = candidates(CORNERS[6:7] * VOLUME)
+"""A place for one more tracer, where a test is not of the 98 that are tried without a list"""
+
+
+def planned(net: Network, scale: float | None = None, candidates: Table | None = ONE, **more: Any) -> Plan:
+    """The plan of a network with the points where they are meant to be."""
+    points = replace(net, nominal=net.points).point_table()
+    files = {"points": points, "tracers": net.tracer_table(0.0), "candidates": candidates}
+    return multilaterate.plan(multilaterate.TASK.job(settings(scale), **files, **more))
 
 
 @pytest.mark.parametrize(("m", "scale"), [(5, 5e-7), *(pytest.param(m, None, marks=pytest.mark.slow) for m in (4, 8))])
@@ -104,7 +107,10 @@ def test_what_is_known_beforehand_counts() -> None:
     sigma = np.where(np.arange(30) < 4, 1e-4, np.nan)
     plan = multilaterate.plan(
         multilaterate.TASK.job(
-            settings(datum="points"), points=net.point_table(sigma=sigma), tracers=net.tracer_table(0.0)
+            settings(datum="points"),
+            points=net.point_table(sigma=sigma),
+            tracers=net.tracer_table(0.0),
+            candidates=ONE,
         )
     )
     then = multilaterate.run(
@@ -121,7 +127,7 @@ def test_what_is_read_may_be_listed() -> None:
     net.readings[[7, 20]] = np.nan
     zero = net.lengths()
     zero.columns["length"][:] = 0.0  # type: ignore[index]
-    plan = planned(net, lengths=zero, candidates=candidates(CORNERS[6:7] * VOLUME))
+    plan = planned(net, lengths=zero)
     result = multilaterate.run(multilaterate.TASK.job(settings(), net.lengths(), net.point_table()))
     listed_at, then = plan.tables["points"], result.tables["points"]
     assert listed_at.texts("point") == then.texts("point") and len(listed_at) == 38
@@ -157,9 +163,9 @@ def test_a_layout_that_cannot_carry_the_answer_is_refused_before_it_is_measured(
 @pytest.mark.slow
 def test_one_more_tracer_mends_a_plane_of_four_and_nothing_mends_a_line_of_points() -> None:
     with pytest.raises(UndeterminedError, match="would serve best at .98 places tried.:\n  C"):
-        planned(on_plane(4))
+        planned(on_plane(4), candidates=None)
     with pytest.raises(UndeterminedError, match="one more tracer alone would not help: 98 places were tried"):
-        planned(on_line(5))
+        planned(on_line(5), candidates=None)
 
 
 def test_the_best_place_for_one_more_tracer_is_as_good_as_told() -> None:
@@ -264,6 +270,7 @@ def test_the_command_plans_without_lengths(job: Path, metrocli: Callable[..., An
     assert {Path(name).name for name in listed_at["files"]} >= {"points.csv", "reliability.csv", "candidates.csv"}
     assert all(Path(name).is_file() for name in listed_at["files"])
     assert "T0.x" in listed_at["figures"] and len(listed_at["tables"]["points"]["rows"]) == 30
+    assert len((job.parent / "job.plan" / "candidates.csv").read_text().splitlines()) == 1 + 98
 
 
 def test_the_command_needs_the_tracers(job: Path, metrocli: Callable[..., Any]) -> None:
@@ -290,7 +297,9 @@ def test_candidates_may_be_listed_in_any_unit(job: Path, metrocli: Callable[...,
 
 def test_an_effect_is_planned_with_the_rest(job: Path, metrocli: Callable[..., Any]) -> None:
     """What it costs the points, and how well it will be known: as the measurement then states."""
-    job.write_text(JOB + "effects: [{name: dead-path-drift, tracer: T2}]\nsimulation: {interval: 10 s}\n")
+    (job.parent / "candidates.csv").write_text("candidate,x_m,y_m,z_m\ndoor,2,0.3,0.2\n")
+    more = "effects: [{name: dead-path-drift, tracer: T2}]\nsimulation: {interval: 10 s}\n"
+    job.write_text(JOB.replace("tracers.csv}", "tracers.csv, candidates: candidates.csv}") + more)
     ran = metrocli("plan", job, "--json")
     assert ran.code == 0, ran.err
     drift = json.loads(ran.out)["figures"]["dead-path-drift.T2.rate"]
