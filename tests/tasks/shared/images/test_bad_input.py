@@ -164,7 +164,7 @@ CASES = {
     ),
     "all targets in one plane, with distortion": Case("plane", 4, ("z of camera, f", "why: all targets lie in one plane")),
     "one position of the spindle": Case(
-        "position", 4, ("undetermined: gamma_s, rz of the part", "why: the clamping angle and the part's rotation change the images in the same way", "images from several positions of the spindle"),
+        "position", 4, ("undetermined: ", "gamma_s", "rz of the part", "why: the clamping angle and the part's rotation change the images in the same way", "images from several positions of the spindle"),
     ),
     "one target": Case("align", 4, ("why: 1 targets in 2 images", "three or more targets not on a line"), keep(lambda row: row[1] == "M1")),
     "two targets": Case("align", 4, ("undetermined: r", "why: 2 targets in 4 images"), keep(lambda row: row[1] in ("M1", "M2"))),
