@@ -14,29 +14,31 @@ def wrapped(angle: Array | float) -> Array:
 
 _SMALL = 1e-5
 """Below this angle [rad] series of two terms are exact to double precision."""
+_IDENTITY = np.eye(3)
 
 
 def cross_matrix(vector: Array) -> Array:
     """Return the matrix [v]x with `[v]x w = v x w`, (..., 3) -> (..., 3, 3)."""
     vector = np.asarray(vector, dtype=float)
     matrix = np.zeros((*vector.shape, 3))
-    matrix[..., (2, 0, 1), (1, 2, 0)], matrix[..., (1, 2, 0), (2, 0, 1)] = vector, -vector
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        matrix[..., k, j], matrix[..., j, k] = vector[..., i], -vector[..., i]
     return matrix
 
 
 def rotation_from_vector(vector: Array) -> Array:
     """Return `R = Exp(v) = I + sin(t)/t [v]x + (1 - cos t)/t^2 [v]x^2`, t = |v|, (..., 3) -> (..., 3, 3)."""
     vector = np.asarray(vector, dtype=float)
-    angle = np.linalg.norm(vector, axis=-1)[..., None, None]
+    angle = _length(vector)[..., None, None]
     cross = cross_matrix(vector)
-    return np.eye(3) + _sine_ratio(angle) * cross + _cosine_ratio(angle) * (cross @ cross)
+    return _IDENTITY + _sine_ratio(angle) * cross + _cosine_ratio(angle) * (cross @ cross)
 
 
 def vector_from_rotation(rotation: Array) -> Array:
     """Return the rotation vector v, |v| <= pi, with `Exp(v) = R`, (..., 3, 3) -> (..., 3)."""
     quaternion = _quaternion(np.asarray(rotation, dtype=float))
     axis = quaternion[..., 1:]
-    sine = np.linalg.norm(axis, axis=-1)
+    sine = _length(axis)
     angle = 2 * np.arctan2(sine, quaternion[..., 0])
     # angle / sin(angle / 2) for small angles is 2 + s^2 / 3 with s = sin(angle / 2)
     ratio = np.where(sine > _SMALL, angle / np.where(sine > _SMALL, sine, 1.0), 2.0 + sine**2 / 3)
@@ -118,34 +120,32 @@ def nearest_rotation(matrix: Array) -> Array:
 
 def _quaternion(rotation: Array) -> Array:
     """Unit quaternion (w, x, y, z), w >= 0, from whichever of the four forms divides by the largest component."""
-    m = np.moveaxis(rotation, (-2, -1), (0, 1))
-    diagonal = np.stack(
-        [
-            m[0, 0] + m[1, 1] + m[2, 2],
-            m[0, 0] - m[1, 1] - m[2, 2],
-            m[1, 1] - m[0, 0] - m[2, 2],
-            m[2, 2] - m[0, 0] - m[1, 1],
-        ],
-        -1,
-    )
-    x, y, z = m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]
-    xy, xz, yz = m[0, 1] + m[1, 0], m[0, 2] + m[2, 0], m[1, 2] + m[2, 1]
-    square = 1 + diagonal
-    forms = np.stack(
-        [
-            np.stack([square[..., 0], x, y, z], -1),
-            np.stack([x, square[..., 1], xy, xz], -1),
-            np.stack([y, xy, square[..., 2], yz], -1),
-            np.stack([z, xz, yz, square[..., 3]], -1),
-        ],
-        -2,
-    )
+    m = [[rotation[..., i, j] for j in range(3)] for i in range(3)]
+    forms = np.empty((*rotation.shape[:-2], 4, 4))
+    # the trace, and traces with two signs turned: 1 added, four times the square of a component
+    forms[..., 0, 0] = m[0][0] + m[1][1] + m[2][2]
+    forms[..., 1, 1] = m[0][0] - m[1][1] - m[2][2]
+    forms[..., 2, 2] = m[1][1] - m[0][0] - m[2][2]
+    forms[..., 3, 3] = m[2][2] - m[0][0] - m[1][1]
+    diagonal = np.einsum("...ii->...i", forms)
+    best = np.argmax(diagonal, axis=-1)
+    diagonal += 1
+    for (i, j), product in {
+        (0, 1): m[2][1] - m[1][2], (0, 2): m[0][2] - m[2][0], (0, 3): m[1][0] - m[0][1],
+        (1, 2): m[0][1] + m[1][0], (1, 3): m[0][2] + m[2][0], (2, 3): m[1][2] + m[2][1],
+    }.items():  # fmt: skip
+        forms[..., i, j] = forms[..., j, i] = product
     # at least 1/2 in size: dividing by a small component would lose digits near a half turn
-    best = np.argmax(diagonal, axis=-1)[..., None, None]
-    quaternion = np.take_along_axis(forms, best, axis=-2)[..., 0, :]
-    length = np.linalg.norm(quaternion, axis=-1, keepdims=True)
+    chosen = forms.reshape(-1, 4, 4)[np.arange(best.size), best.ravel()]
+    quaternion = chosen.reshape(*best.shape, 4)
+    length = _length(quaternion)[..., None]
     unit: Array = quaternion / np.where(quaternion[..., :1] < 0, -length, length)
     return unit
+
+
+def _length(vector: Array) -> Array:
+    # as `np.linalg.norm`, whose way there takes longer than the sum for a few vectors
+    return np.asarray(np.sqrt((vector * vector).sum(axis=-1)))
 
 
 def _sine_ratio(angle: Array) -> Array:

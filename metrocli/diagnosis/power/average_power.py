@@ -47,13 +47,14 @@ def size_found(grams: Array, ranks: Array, level: float, dof: int, wanted: float
     # (docs/decisions/068-stated-sizes.md)
     towards = directions(grams.shape[1])
     strengths = np.sqrt(np.maximum(np.einsum("da,kab,db->kd", towards, grams, towards), 0.0))
-    curves = {int(r): _curve(level, int(r), max(dof - int(r), 1)) for r in np.unique(ranks[ranks > 0])}
+    seen = np.unique(ranks[ranks > 0])
+    curves = [(strengths[ranks == r], *_curve(level, int(r), max(dof - int(r), 1))) for r in seen]
 
     def mean_power(size: float) -> float:
-        found: float = sum(float(np.interp(size * strengths[ranks == r], *curve).sum()) for r, curve in curves.items())
+        found: float = sum(float(np.interp(size * some, roots, powers).sum()) for some, roots, powers in curves)
         return found / float(strengths.size)
 
-    return _size(mean_power, wanted, max(float(roots[-1]) for roots, _ in curves.values()) / float(strengths.max()))
+    return _size(mean_power, wanted, max(float(roots[-1]) for _, roots, _ in curves) / float(strengths.max()))
 
 
 def size_separated(gram: Array, confounded: Array, wanted: float) -> float:
