@@ -16,7 +16,9 @@ from simulated import lengths as simulated_lengths
 from metrocli.adjust.model.quantities import Quantity
 from metrocli.arrays import Array
 from metrocli.cli.commands import run
+from metrocli.cli.diagnosis_report.findings import of_diagnosis
 from metrocli.diagnosis.linear.scans import thinned
+from metrocli.diagnosis.verdict import as_data
 from metrocli.effects.acting import Acting, seen_from
 from metrocli.effects.effect import Effect, Parameter
 from metrocli.effects.links.points import Growth, Shift
@@ -25,6 +27,8 @@ from metrocli.effects.own.trials import broken
 from metrocli.errors import Fault
 from metrocli.formats import csv, hdf5
 from metrocli.project import yaml_text
+from metrocli.project.diagnosed import carry_out
+from metrocli.project.job import load
 from metrocli.tasks import KINDS
 
 A = "parameters: {a: {unit: um, plausible: 10 um}}"
@@ -503,10 +507,9 @@ def test_a_period_that_even_sampling_makes_of_another_is_listed_beside_it(
     planted = ["--effect", "pump:tracer=T2,a=3um,phase=0.4rad,p=70s", "--seed", "6", "--quiet", "--force"]
     assert run(["simulate", str(job), "--out", str(shop / "made"), *planted]) == 0
     (shop / "lengths.csv").write_text((shop / "made" / "lengths.csv").read_text())
-    assert run(["diagnose", str(job), "--json", "--quiet"]) == 0
-    (found,) = json.loads(capsys.readouterr().out)["effects"]
+    diagnosis = carry_out(load(job))
+    (found,) = as_data(diagnosis)["effects"]
     both = [found["parameters"]["p"]["value"], *(alias["value"] for alias in found["aliases"])]
     assert sorted(both) == pytest.approx([52.5, 70.0], abs=0.3)
     assert {(one["parameter"], one["unit"]) for one in found["aliases"]} == {("p", "s")}
-    assert run(["diagnose", str(job)]) == 0
-    assert "s fits as well (odds" in " ".join(capsys.readouterr().out.split())
+    assert "s fits as well (odds" in " ".join(of_diagnosis(diagnosis, None).split())

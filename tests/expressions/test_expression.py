@@ -74,7 +74,7 @@ def test_random_texts_are_taken_or_refused(count: int) -> None:
 def test_derivatives_of_random_models_are_there_or_refused() -> None:
     rng = random.Random(5)
     taken = 0
-    for _ in range(1500):
+    for _ in range(500):
         try:
             model = parse(_grown(rng, rng.randint(1, 6)))
             for values in ({"x": 0.0, "y": 1.0, "part.x": 2.0}, {"x": -1.5, "y": 0.0, "part.x": 1e200}):
@@ -83,7 +83,7 @@ def test_derivatives_of_random_models_are_there_or_refused() -> None:
                 taken += 1
         except ExpressionError as error:
             assert error.hint
-    assert taken > 500
+    assert taken > 170
 
 
 def _grown(rng: random.Random, depth: int) -> str:

@@ -283,9 +283,15 @@ ALL = [
     )
     for name in plots.names_of(result)
 ]
+AGAIN = {number for number, (name, _) in enumerate(ALL) if name in [before for before, _ in ALL[:number]]}
+"""Figures of a name that a result before them has, too: one drawing makes them all"""
 
 
-@pytest.mark.parametrize(("name", "result"), ALL, ids=lambda one: one if isinstance(one, str) else one.kind)
+@pytest.mark.parametrize(
+    ("name", "result"),
+    [pytest.param(*one, marks=pytest.mark.slow if number in AGAIN else ()) for number, one in enumerate(ALL)],
+    ids=lambda one: one if isinstance(one, str) else one.kind,
+)
 def test_each_figure_names_what_it_shows(name: str, result: Result, tmp_path: Path) -> None:
     plots.save(result, name, tmp_path / "x.svg", ".svg")
     text = (tmp_path / "x.svg").read_text(encoding="utf-8")

@@ -27,7 +27,7 @@ EDITS = st.lists(st.tuples(st.integers(0, len(GOOD)), st.integers(0, 12), PIECES
 
 
 @given(EDITS)
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None, max_examples=300)
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None, max_examples=100)
 def test_any_edit_is_read_or_refused(job: Path, edits: list[tuple[int, int, str]]) -> None:
     text = GOOD
     for at, length, new in edits:

@@ -194,27 +194,3 @@ def test_a_scheduler_that_dies_in_a_run_keeps_what_is_finished(
     assert (run.returncode, "finished results are kept" in err.decode()) == (3, True), err
     assert b"Traceback" not in err, err
     assert len(contents()) >= out.decode().count(": ran") > 0
-
-
-def test_other_workers_share_what_takes_long_in_one_job(cluster: Any) -> None:
-    import distributed
-
-    from metrocli.uncertainty.workers.dask_cluster import with_help
-
-    library: Any = distributed
-
-    def task(count: int) -> list[tuple[int, int]]:
-        def work(number: int) -> tuple[int, int]:
-            time.sleep(0.05)
-            return number, os.getpid()
-
-        return list(with_help(work, range(count), 0.1))
-
-    with library.Client(scheduler_file=str(cluster[0])) as client:
-        client.wait_for_workers(2)
-        # four tasks that wait for chunks, and two threads in all
-        found = client.gather(client.map(task, [20, 20, 20, 20], pure=False))
-        assert client.submit(task, 0).result() == []
-    for one in found:
-        assert [number for number, _ in one] == list(range(20))
-    assert any(len({process for _, process in one}) == 2 for one in found), "how many share depends on their load"

@@ -56,7 +56,7 @@ def test_probability_along_a_diagonal(unit: Path, metrocli: Metrocli) -> None:
     row = cells(metrocli("plan", unit / JOB, "--out", unit / "plan").out, "xz")
     fit = located()
     rng = np.random.default_rng(16)
-    count = 200_000
+    count = 60_000
     error = rng.normal(size=(count, 4)) @ np.linalg.cholesky(fit.covariance).T
     # the beam runs from the unit towards the low corner of the face diagonal, 5400 mm along x and 1600 mm along z
     line = -np.array([5400.0, 0.0, 1600.0]) / np.hypot(5400.0, 1600.0)

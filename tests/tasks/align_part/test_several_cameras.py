@@ -16,10 +16,17 @@ from benchmarks.apart import rig
 Metrocli = Callable[..., Any]
 
 
+_MADE: dict[tuple[int | None, str], dict[str, bytes]] = {}
+
+
 def made(folder: Path, metrocli: Metrocli, noise: int | None, fisheye: str = "") -> Path:
-    """The job of an alignment whose cameras are calibrated; `noise` is a seed, None: without noise."""
-    rig.write_jobs(folder, None if noise is None else np.random.default_rng(noise), fisheye=fisheye)
-    assert metrocli("calibrate-camera", folder / "cam.yaml").code == 0
+    """The job of an alignment whose cameras are calibrated, once; `noise` is a seed, None: without noise."""
+    if (noise, fisheye) not in _MADE:
+        rig.write_jobs(folder, None if noise is None else np.random.default_rng(noise), fisheye=fisheye)
+        assert metrocli("calibrate-camera", folder / "cam.yaml").code == 0
+        _MADE[noise, fisheye] = {path.name: path.read_bytes() for path in folder.iterdir()}
+    for name, content in _MADE[noise, fisheye].items():
+        (folder / name).write_bytes(content)
     return folder / "job.yaml"
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import pytest
 from conftest import Ran
 from simulated import mount as sim
 
+from metrocli.cli.commands import run
 from metrocli.formats.hdf5 import read
 from metrocli.project.job import load
 from metrocli.table import Table
@@ -20,14 +22,21 @@ from metrocli.tasks.calibrate_machine.methods.positions import positions_of
 Metrocli = Callable[..., Ran]
 
 
-@pytest.fixture
-def measured(tmp_path: Path, metrocli: Metrocli) -> tuple[sim.Mount, Path]:
+@pytest.fixture(scope="module")
+def adjusted(tmp_path_factory: pytest.TempPathFactory) -> tuple[sim.Mount, Path]:
     """A mount, and the job that measures it in an adjusted network."""
     rng = np.random.default_rng(7)
     mount = sim.drawn(rng)
-    job = sim.write(tmp_path, mount, rng)
-    assert metrocli("adjust-network", tmp_path / "network.yaml").code == 0
+    job = sim.write(tmp_path_factory.mktemp("mount"), mount, rng)
+    assert run(["adjust-network", str(job.with_name("network.yaml")), "--quiet"]) == 0
     return mount, job
+
+
+@pytest.fixture
+def measured(adjusted: tuple[sim.Mount, Path], tmp_path: Path) -> tuple[sim.Mount, Path]:
+    mount, job = adjusted
+    shutil.copytree(job.parent, tmp_path, dirs_exist_ok=True)
+    return mount, tmp_path / job.name
 
 
 def test_a_mount_without_encoders_has_its_invariant_point(measured: tuple[sim.Mount, Path], metrocli: Metrocli) -> None:

@@ -268,6 +268,28 @@ def test_a_cluster_gives_the_same_bits(cluster: tuple[Path, Any], trials: Any, t
     assert bits(here.path) == bits(there.path)
 
 
+def test_other_workers_share_what_takes_long_in_one_job(cluster: tuple[Path, Any]) -> None:
+    import distributed
+
+    library: Any = distributed
+
+    def task(count: int) -> list[tuple[int, int]]:
+        def work(number: int) -> tuple[int, int]:
+            time.sleep(0.05)
+            return number, os.getpid()
+
+        return list(dask_cluster.with_help(work, range(count), 0.1))
+
+    with library.Client(scheduler_file=str(cluster[0])) as client:
+        client.wait_for_workers(2)
+        # four tasks that wait for chunks, and two threads in all
+        found = client.gather(client.map(task, [20, 20, 20, 20], pure=False))
+        assert client.submit(task, 0).result() == []
+    for one in found:
+        assert [number for number, _ in one] == list(range(20))
+    assert any(len({process for _, process in one}) == 2 for one in found), "how many share depends on their load"
+
+
 @pytest.mark.slow
 def test_a_worker_killed_in_the_middle_changes_no_bit(
     cluster: tuple[Path, list[subprocess.Popen[bytes]]], tmp_path: Path
