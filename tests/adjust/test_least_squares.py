@@ -21,11 +21,17 @@ CLOSE = 1e-8
 
 
 @cache
-def both(make: str) -> tuple[Problem, Solution, Dense]:
-    """A problem, its solution, and dense matrices at that."""
+def solved(make: str) -> tuple[Problem, Solution]:
     problem = PROBLEMS[make]()
     solution = adjust(problem.blocks.values(), problem.groups)
     assert solution.outcome is Outcome.CONVERGED, solution.undetermined
+    return problem, solution
+
+
+@cache
+def both(make: str) -> tuple[Problem, Solution, Dense]:
+    """A problem, its solution, and dense matrices at that."""
+    problem, solution = solved(make)
     return problem, solution, dense.at_solution(solution.blocks, problem.groups)
 
 
@@ -67,7 +73,7 @@ def test_plain_steps_from_the_same_start_end_there() -> None:
 
 
 def test_the_eliminated_blocks_are_those_meant() -> None:
-    eliminated = {make: both(make)[1].covariance_or_raise().layout.eliminated for make in PROBLEMS}
+    eliminated = {make: solved(make)[1].covariance_or_raise().layout.eliminated for make in PROBLEMS}
     assert eliminated["views eliminated"] == "view"
     assert eliminated["targets eliminated, in part fixed"] == "target"
     assert eliminated["scale bars"] == "target"
