@@ -24,7 +24,9 @@ class Camera:
         far = (uv - self.middle) / self.f
         near = far.copy()
         for _ in range(30):
-            near = far / (1 + self.k1 * (near**2).sum(1, keepdims=True))
+            before, near = near, far / (1 + self.k1 * (near**2).sum(1, keepdims=True))
+            if np.array_equal(near, before):
+                break
         both = np.column_stack([near, np.ones(len(near))])
         return np.asarray(both / np.linalg.norm(both, axis=1, keepdims=True))
 
