@@ -28,8 +28,7 @@ from metrocli.table import Table
 from metrocli.tasks.calibrate_machine import task as calibrate_machine
 from metrocli.tasks.calibrate_machine.described import machine_of
 from metrocli.tasks.calibrate_machine.files import TRACK, Inputs
-from metrocli.tasks.calibrate_machine.machine_settings import AxesSettings, AxisSettings, MachineSettings
-from metrocli.tasks.calibrate_machine.noise_settings import MachineNoise
+from metrocli.tasks.calibrate_machine.machine_settings import AxesSettings, AxisSettings, MachineNoise, MachineSettings
 from metrocli.tasks.calibrate_machine.plans.path_search import edges_and_diagonals
 from metrocli.tasks.calibrate_machine.plans.planned import planned_problem
 from metrocli.tasks.calibrate_machine.plans.settings import PathPlan

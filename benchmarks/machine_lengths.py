@@ -32,8 +32,7 @@ from metrocli.simulation import SimulationOptions
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine import task as calibrate_machine
 from metrocli.tasks.calibrate_machine.files import Inputs
-from metrocli.tasks.calibrate_machine.machine_settings import AxesSettings, AxisSettings, MachineSettings
-from metrocli.tasks.calibrate_machine.noise_settings import MachineNoise
+from metrocli.tasks.calibrate_machine.machine_settings import AxesSettings, AxisSettings, MachineNoise, MachineSettings
 from metrocli.tasks.calibrate_machine.settings import MachineSimulation, Settings
 from metrocli.tasks.calibrate_machine.volume import rigid_motions
 from metrocli.uncertainty.comparison import Comparison, compare

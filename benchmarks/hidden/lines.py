@@ -16,8 +16,7 @@ from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine import task as calibrate_machine
 from metrocli.tasks.calibrate_machine.files import Inputs
-from metrocli.tasks.calibrate_machine.machine_settings import AxesSettings, AxisSettings, MachineSettings
-from metrocli.tasks.calibrate_machine.noise_settings import MachineNoise
+from metrocli.tasks.calibrate_machine.machine_settings import AxesSettings, AxisSettings, MachineNoise, MachineSettings
 from metrocli.tasks.calibrate_machine.settings import Settings
 
 Array = npt.NDArray[np.float64]

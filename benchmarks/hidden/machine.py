@@ -18,8 +18,13 @@ from metrocli.effects.requested import RequestedEffect
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine import task as calibrate_machine
 from metrocli.tasks.calibrate_machine.files import Inputs
-from metrocli.tasks.calibrate_machine.machine_settings import AxesSettings, AxisSettings, MachineSettings
-from metrocli.tasks.calibrate_machine.noise_settings import LateralNoise, MachineNoise
+from metrocli.tasks.calibrate_machine.machine_settings import (
+    AxesSettings,
+    AxisSettings,
+    LateralNoise,
+    MachineNoise,
+    MachineSettings,
+)
 from metrocli.tasks.calibrate_machine.settings import Settings
 
 Array = npt.NDArray[np.float64]

@@ -6,7 +6,7 @@ import numpy as np
 
 from metrocli.arrays import Array
 from metrocli.frozen import dataclass
-from metrocli.plots import labels
+from metrocli.plots import plotted_points as labels
 from metrocli.plots.magnify import in_words, length_in_words, magnification, thinned_vectors, words
 from metrocli.plots.places import places_of
 from metrocli.plots.plotted_points import PlottedPoints

@@ -1,7 +1,8 @@
-"""Acceptance criteria of a job: `require: {sigma0: "< 1.5", x.std: "< 10 um"}`."""
+"""Acceptance criteria of a job, `require: {sigma0: "< 1.5", x.std: "< 10 um"}`, and decisions on its tolerances."""
 
 from __future__ import annotations
 
+import math
 import operator
 import re
 from collections.abc import Callable, Collection, Iterator, Mapping
@@ -12,7 +13,7 @@ from metrocli.errors import Fault
 from metrocli.expressions.dimensions import converted
 from metrocli.frozen import dataclass
 from metrocli.nodes import Node
-from metrocli.record import CriterionVerdict
+from metrocli.record import FAIL, GUARD_BAND, PASS, CriterionVerdict
 from metrocli.result import Result
 from metrocli.settings import BAD, Schema
 from metrocli.words import nearest, suggestion
@@ -176,3 +177,27 @@ def _requirement(name: str, node: Node, faults: list[Fault]) -> Requirement | No
         faults.append(node.fault(f"{node.path}: '{node.text}' is not a comparison", "write e.g. '< 1.5' or '<= 5 um'"))
         return None
     return Requirement(name, match[1], float(match[2]), match[3], node)
+
+
+_DECISIONS = {"conforming": PASS, "non-conforming": FAIL}
+"""By the zone of ISO 14253-1; in any other zone nothing is shown"""
+OVER_LIMIT = "length_error_over_limit"
+"""Statistic: the largest error of a calibrated length over its limit (VDI/VDE 2634, acceptance)"""
+
+
+def decisions(result: Result, reported: bool) -> Iterator[CriterionVerdict]:
+    """Yield the decision on each tolerance of a result; where it is only `reported`, each counts as met."""
+    for estimate in result.estimates:
+        tolerance: Mapping[str, Any] = result.details.get(estimate.name, {}).get("tolerance", {})
+        if "zone" in tolerance:
+            decided = _DECISIONS.get(tolerance["zone"], GUARD_BAND)
+            low, high = tolerance["limits"]
+            ends = [f"{end:.10g}" if math.isfinite(end) else "no limit" for end in (low, high)]
+            within = f"{' to '.join(ends)} {estimate.unit}".strip()
+            yield CriterionVerdict(
+                estimate.name, within, estimate.value, estimate.unit, reported or decided != FAIL, decided
+            )
+    over = result.statistics.get(OVER_LIMIT)
+    if isinstance(over, float):
+        met, what = over <= 1, "largest over its limit, <= 1"
+        yield CriterionVerdict("length measuring errors", what, over, "1", reported or met, PASS if met else FAIL)

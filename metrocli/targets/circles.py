@@ -11,7 +11,7 @@ import numpy as np
 
 from metrocli.arrays import Picture
 from metrocli.targets import blobs, ellipses
-from metrocli.targets.ellipse import Ellipse
+from metrocli.targets.blobs import Ellipse
 from metrocli.targets.ellipses import of_ellipses
 from metrocli.targets.find import FoundTargets, nothing
 from metrocli.targets.lattice import FEWEST, largest, ordered

@@ -12,8 +12,8 @@ import numpy as np
 
 from metrocli.arrays import Array, Picture
 from metrocli.targets import blobs, ellipses
+from metrocli.targets.blobs import Ellipse
 from metrocli.targets.codes import BITS, RING_FROM, RING_TO, canonical, codes
-from metrocli.targets.ellipse import Ellipse
 from metrocli.targets.ellipses import FittedEllipse, of_ellipses
 from metrocli.targets.find import FoundTargets, nothing
 from metrocli.targets.pattern import Pattern

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from metrocli.arrays import Array, Picture
-from metrocli.targets.ellipse import Ellipse
+from metrocli.targets.blobs import Ellipse
 from metrocli.targets.find import FoundTargets
 
 OUTSIDE = 3.5

@@ -7,8 +7,7 @@ from decimal import Decimal
 import numpy as np
 import pytest
 
-from metrocli.formats.csv_plain import plain_cells
-from metrocli.formats.decimals import decimals
+from metrocli.formats.csv_plain import decimals, plain_cells
 
 
 def read(texts: list[str]) -> np.ndarray:

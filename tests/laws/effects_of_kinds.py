@@ -41,12 +41,16 @@ from metrocli.tasks.adjust_network.starts import search as network_start
 from metrocli.tasks.calibrate_machine.effects.tracker import OF_THE_LASER
 from metrocli.tasks.calibrate_machine.effects.turning import OF_ROTARY_AXES
 from metrocli.tasks.calibrate_machine.files import Files as MachineFiles
-from metrocli.tasks.calibrate_machine.machine_settings import AxesSettings, MachineSettings, RotarySettings
+from metrocli.tasks.calibrate_machine.machine_settings import (
+    AxesSettings,
+    MachineNoise,
+    MachineSettings,
+    RotarySettings,
+)
 from metrocli.tasks.calibrate_machine.methods.lengths import lengths as machine_lengths
 from metrocli.tasks.calibrate_machine.methods.probing import probing
 from metrocli.tasks.calibrate_machine.methods.six_dof import six_dof
 from metrocli.tasks.calibrate_machine.methods.standstill import standstill
-from metrocli.tasks.calibrate_machine.noise_settings import MachineNoise
 from metrocli.tasks.fit_points.problem import problem_of as pairs_of
 from metrocli.tasks.fit_points.settings import Files as FitFiles
 from metrocli.tasks.fit_points.settings import Inputs as FitInputs

@@ -13,7 +13,7 @@ from plots import results
 
 from metrocli import plots
 from metrocli.plots import style
-from metrocli.plots.labels import sides
+from metrocli.plots.plotted_points import sides
 from metrocli.result import Result
 from metrocli.table import Table
 from metrocli.words import shortened

@@ -11,10 +11,15 @@ import numpy as np
 import numpy.typing as npt
 
 from metrocli.table import Table
-from metrocli.tasks.calibrate_machine.acceptance.settings import VolumeGrid
 from metrocli.tasks.calibrate_machine.files import Inputs
-from metrocli.tasks.calibrate_machine.machine_settings import AxesSettings, AxisSettings, MachineSettings
-from metrocli.tasks.calibrate_machine.noise_settings import LateralNoise, MachineNoise
+from metrocli.tasks.calibrate_machine.machine_settings import (
+    AxesSettings,
+    AxisSettings,
+    LateralNoise,
+    MachineNoise,
+    MachineSettings,
+    VolumeGrid,
+)
 from metrocli.tasks.calibrate_machine.settings import Settings
 
 Array = npt.NDArray[np.float64]

@@ -9,8 +9,7 @@ from simulated import machine as sim
 
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine.files import Inputs
-from metrocli.tasks.calibrate_machine.machine_settings import AxesSettings, AxisSettings, MachineSettings
-from metrocli.tasks.calibrate_machine.noise_settings import MachineNoise
+from metrocli.tasks.calibrate_machine.machine_settings import AxesSettings, AxisSettings, MachineNoise, MachineSettings
 from metrocli.tasks.calibrate_machine.settings import Settings
 
 Array = sim.Array

@@ -7,7 +7,7 @@ import pytest
 from targets import drawn
 
 from metrocli.targets import blobs
-from metrocli.targets.ellipse import Ellipse
+from metrocli.targets.blobs import Ellipse
 from metrocli.targets.ellipses import FittedEllipse, fit
 
 

@@ -10,8 +10,8 @@ import click
 
 from metrocli.cli import options
 from metrocli.cli.console import echo
-from metrocli.cli.look import repeated, requirement
-from metrocli.cli.look.opened import opened_result
+from metrocli.cli.look import repeated
+from metrocli.cli.look.opened import opened_result, require_option, requirement_of
 from metrocli.words import listed
 
 if TYPE_CHECKING:
@@ -31,7 +31,7 @@ FIGURES = ("max_en", "p_value", "chi2")
 @click.argument("others", type=click.Path(path_type=Path), metavar="B.h5 [C.h5 ...]", nargs=-1, required=True)
 @click.option("--days", metavar="0,90,...", help="Days at which three or more results were measured; else numbered.")
 @click.option("--sets", is_flag=True, help="Three or more results are repeated sets without an order: their scatter.")
-@requirement.option("'max_en < 1' or 'p_value > 0.05'; of more results 'max_drift_en < 1', of sets 'max_ratio < 2'")
+@require_option("'max_en < 1' or 'p_value > 0.05'; of more results 'max_drift_en < 1', of sets 'max_ratio < 2'")
 @options.JSON
 def command(
     first: Path, others: tuple[Path, ...], days: str | None, sets: bool, require: str | None, as_json: bool
@@ -44,7 +44,7 @@ def command(
     from metrocli.cli import summary
     from metrocli.uncertainty.comparison import compare
 
-    wanted = requirement.read(require, FIGURES)
+    wanted = requirement_of(require, FIGURES)
     (before, of_one), (other, of_other) = opened_result(first), opened_result(second)
     comparison, shared = compare(before, other), _shared(of_one, of_other)
     lenses = _lenses(before, other)

@@ -7,8 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from metrocli.cli.console import echo
-from metrocli.cli.look import requirement
-from metrocli.cli.look.opened import opened_result
+from metrocli.cli.look.opened import opened_result, requirement_of
 from metrocli.errors import UsageError
 
 if TYPE_CHECKING:
@@ -25,7 +24,7 @@ def series(files: tuple[Path, ...], days: str | None, require: str | None, as_js
     from metrocli.cli import summary
     from metrocli.uncertainty.repeated import repeated
 
-    wanted = requirement.read(require, OF_SERIES)
+    wanted = requirement_of(require, OF_SERIES)
     times, time = _times(days, len(files))
     calibrations = repeated([opened_result(file)[0] for file in files], times)
     echo(
@@ -99,7 +98,7 @@ def sets(files: tuple[Path, ...], days: str | None, require: str | None, as_json
     from metrocli.cli import summary
     from metrocli.uncertainty.repeated_sets import repetition
 
-    wanted = requirement.read(require, OF_SETS)
+    wanted = requirement_of(require, OF_SETS)
     repeats = repetition([opened_result(file)[0] for file in files])
     echo(summary.as_json(_figures_of_sets(repeats)) if as_json else _text_of_sets(repeats))
     return 0 if wanted is None else wanted.exit_code(repeats)

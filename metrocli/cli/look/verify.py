@@ -10,8 +10,7 @@ import click
 
 from metrocli.cli import options
 from metrocli.cli.console import echo
-from metrocli.cli.look import requirement
-from metrocli.cli.look.opened import opened_result
+from metrocli.cli.look.opened import opened_result, require_option, requirement_of
 from metrocli.frozen import dataclass
 
 if TYPE_CHECKING:
@@ -35,7 +34,7 @@ FIGURES = ("max_en", "inside", "mpe_ratio")
     metavar="'A + B'",
     help="Lengths against a maximum permissible error, such as '1.5 um + 3 um/m' (ISO 10360-2).",
 )
-@requirement.option("'max_en < 1' or 'inside >= 0.95'")
+@require_option("'max_en < 1' or 'inside >= 0.95'")
 @options.JSON
 def command(result: Path, check: Path, aligned: bool, mpe: str | None, require: str | None, as_json: bool) -> int:
     """Print the deviations, measured minus predicted; raises UsageError for a wrong condition."""
@@ -45,7 +44,7 @@ def command(result: Path, check: Path, aligned: bool, mpe: str | None, require: 
     from metrocli.uncertainty.length_errors import length_errors, permitted
     from metrocli.uncertainty.verification import columns_for, verify
 
-    wanted = requirement.read(require, FIGURES if mpe else FIGURES[:2])
+    wanted = requirement_of(require, FIGURES if mpe else FIGURES[:2])
     limit = None if mpe is None else permitted(mpe)
     calibrated, _ = opened_result(result)
     header = taken_apart(read_text(check, str(check)), str(check)).header

@@ -22,7 +22,6 @@ from metrocli.tasks.adjust_network.solve import AdjustedNetwork
 from metrocli.tasks.adjust_network.suspects import SuspectedReading
 from metrocli.tasks.shared.joint_covariance import factors
 from metrocli.tasks.shared.noise import NoiseFound
-from metrocli.tasks.shared.reliability import point_shift
 from metrocli.tasks.shared.statistics import (
     Statistics,
     basic_statistics,
@@ -31,6 +30,7 @@ from metrocli.tasks.shared.statistics import (
     found_notes,
     noise_notes,
     noise_warnings,
+    point_shift,
     with_found,
 )
 from metrocli.words import listed

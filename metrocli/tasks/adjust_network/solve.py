@@ -19,13 +19,16 @@ from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.instruments import stations as s
 from metrocli.instruments import tracer as t
-from metrocli.tasks.adjust_network.datum import FREEDOMS, open_by_given
 from metrocli.tasks.adjust_network.groups import LENGTHS, ROW, is_sighting
 from metrocli.tasks.adjust_network.noise import component
-from metrocli.tasks.adjust_network.problem import Network
+from metrocli.tasks.adjust_network.problem import FREEDOMS, Network, open_by_given
 from metrocli.tasks.adjust_network.settings import GIVEN, Settings
-from metrocli.tasks.adjust_network.starts.contradictions import contradicting, must_agree_with_setups, refusal
-from metrocli.tasks.adjust_network.starts.second_places import decided_places
+from metrocli.tasks.adjust_network.starts.contradictions import (
+    contradicting,
+    decided_places,
+    must_agree_with_setups,
+    refusal,
+)
 from metrocli.tasks.adjust_network.suspects import SuspectedReading, contradictions, suspected
 from metrocli.tasks.shared.mirror import Mirrored
 from metrocli.words import in_a_row

@@ -1,4 +1,4 @@
-"""The adjustment of a part's alignment: from cameras, spindle poses and sightings to blocks with starting values."""
+"""The adjustment of a part's alignment, with starting values, and the mirrored pose of targets in one plane."""
 
 from __future__ import annotations
 
@@ -7,22 +7,23 @@ from dataclasses import field, replace
 
 import numpy as np
 
+from metrocli.adjust.adjustment import StoppingRule, adjust
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Observations
 from metrocli.arrays import Array, Index
 from metrocli.effects.extension import with_known_effect
 from metrocli.effects.model import Model, Place
 from metrocli.effects.modelled import Modelled
-from metrocli.errors import Fault, InputError
+from metrocli.errors import Fault, InputError, UndeterminedError
 from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.instruments import spindle_camera as spindle
-from metrocli.instruments.camera import TARGET, list_datum, target_block
+from metrocli.instruments.camera import TAPER, TARGET, list_datum, target_block
 from metrocli.tasks.align_part.camera import CameraModel
 from metrocli.tasks.align_part.effects import EFFECTS, EXPANSION
 from metrocli.tasks.align_part.fitted_targets import TargetList
 from metrocli.tasks.align_part.spindle_poses import SpindlePoses, note_of
-from metrocli.tasks.shared.images.adjustment import IMAGES
+from metrocli.tasks.shared.images.adjustment import IMAGES, AdjustedImages
 from metrocli.tasks.shared.images.eccentricity import corrected
 from metrocli.tasks.shared.images.exposures import Exposures
 from metrocli.tasks.shared.images.sightings import Sighted, check_inside, placed
@@ -217,3 +218,52 @@ def true_model(
     group = group.with_observations(_of_exposures(exposed, group.observations))
     places = places_of(exposed.names, shown[0].targets.names)
     return Model(blocks, (group,), None, (IMAGES,), places, nominal={TARGET: shown[0].targets.points})
+
+
+_FLAT = 0.1
+"""Targets whose thickness is below this share of their extent lie nearly in one plane"""
+_ALIKE = 10.83
+"""Difference of chi-square up to which both poses fit alike: 0.1 % of chance, one degree of freedom"""
+_APART = 6.0
+"""Standard uncertainties from which two poses are not the same"""
+
+
+def mirrored_pose(problem: AlignmentProblem, adjusted: AdjustedImages) -> AlignmentProblem | None:
+    """Return the problem at the mirrored pose of the part where that fits better; None where the pose found is right.
+
+    Raises UndeterminedError if both fit alike.
+    """
+    solution = adjusted.solution
+    points = problem.sighted.targets.points[np.unique(problem.sighted.target)]
+    _, thick, axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)
+    if not solution.outcome.good or thick[2] > _FLAT * thick[1]:
+        return None
+    part, angle = solution.blocks[spindle.PART], float(solution.blocks[spindle.COUPLING].values[0, 0])
+    camera_poses = spindle.camera_in_machine(
+        solution.blocks[spindle.SPINDLE].values, angle, solution.blocks[TAPER].values[0]
+    )
+    centre = points.mean(axis=0)
+    sight = (poses.apply(part.values, centre) - camera_poses[:, :3].mean(axis=0)).reshape(1, 3)
+    mirrored = part.with_values(poses.mirrored_about(part.values, sight, centre, axes[2]))
+    # mirrored about the mean line of sight only a start: the adjustment finds the second minimum, if there is one
+    turned = {**solution.blocks, spindle.PART: mirrored}
+    other = adjust(turned.values(), solution.groups, problem.datum, StoppingRule(limit=60, covariance=False))
+    step = poses.difference(other.blocks[spindle.PART].values, part.values)[0]
+    apart = float(np.linalg.norm(step[3:])) > _APART * float(np.linalg.norm(solution.std(spindle.PART)[0, 3:]))
+    # in units of the noise that the residuals show, if that is larger: a wrong sigma must not decide between poses
+    change = (other.cost - solution.cost) / max(1.0, float(np.nan_to_num(solution.sigma0, nan=1.0))) ** 2
+    if not apart or not np.isfinite(other.cost) or change > _ALIKE:
+        return None
+    if change < -_ALIKE:
+        return replace(problem, model=problem.model.with_blocks({**problem.blocks, **other.blocks}))
+    raise UndeterminedError(_alike(part.values[0], other.blocks[spindle.PART].values[0]), 0.0)
+
+
+def _alike(first: Array, other: Array) -> str:
+    one, two = (np.degrees(poses.euler_form(pose)[3:]) for pose in (first, other))
+    words = (f"alpha {a:.2f}, beta {b:.2f}, gamma {c:.2f} deg" for a, b, c in (one, two))
+    return (
+        "the images fit two poses of the part alike, since its targets lie nearly in one plane and are small or far "
+        "away:\n" + "\n".join(f"  {text}" for text in words) + "\n  what decides: images from positions further apart "
+        "or nearer, or a target out of the plane"
+    )

@@ -20,11 +20,10 @@ from metrocli.tasks.align_part.diagnosis import adjusted_job, all_covariates
 from metrocli.tasks.align_part.effects import EFFECTS, EXPANSION, PLACES
 from metrocli.tasks.align_part.fitted_targets import target_list
 from metrocli.tasks.align_part.fixturing import must_level
-from metrocli.tasks.align_part.problem import AlignmentProblem, AlignmentTruth, build, true_model
+from metrocli.tasks.align_part.problem import AlignmentProblem, AlignmentTruth, build, mirrored_pose, true_model
 from metrocli.tasks.align_part.report import delivered, explained, predicted, report
 from metrocli.tasks.align_part.settings import Files, Settings
 from metrocli.tasks.align_part.spindle_poses import SpindlePoses
-from metrocli.tasks.align_part.two_poses import mirrored_pose
 from metrocli.tasks.job import Job, Task
 from metrocli.tasks.shared.images.adjustment import AdjustedImages, Options, adjust_images, must_converge
 from metrocli.tasks.shared.images.places import not_sought

@@ -42,12 +42,14 @@ from metrocli.tasks.calibrate_camera.settings import CameraSettings, Settings
 from metrocli.tasks.calibrate_camera.shape.found import shape_arrays, shape_notes, shape_rms, shape_table
 from metrocli.tasks.shared.images.adjustment import AdjustedImages
 from metrocli.tasks.shared.images.camera_parameters import Parameters, parameters, pose_columns, unit_of
-from metrocli.tasks.shared.images.seen_points import depths, points_of, with_places
 from metrocli.tasks.shared.images.tables import (
     adjustment_notes,
+    depths,
     image_statistics,
     image_tables,
     image_warnings,
+    points_of,
+    with_places,
 )
 from metrocli.tasks.shared.statistics import Statistics, chi_interval, noise_notes, noise_warnings
 from metrocli.tasks.shared.uncontrolled import TABLE, in_words

@@ -1,4 +1,4 @@
-"""Settings of a machine: its chain, its axes and its tools."""
+"""Settings of a machine: its chain, axes and tools, the noise of its readings, and where its volume is predicted."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ import numpy as np
 from metrocli.frozen import dataclass
 from metrocli.instruments.machine import ANGLES, AXES, chain_of
 from metrocli.settings import Choice, Either, Flag, ListOf, MapOf, Section, Text, Whole, WithUnit, setting
+from metrocli.tasks.shared.lengths import REPEATABILITY, REPEATABILITY_WORDS, LengthNoise
+from metrocli.tasks.shared.noise import model_setting
 from metrocli.tasks.shared.part import Warm
 
 VECTOR = ListOf(WithUnit("length"), 3)
@@ -152,3 +154,93 @@ class MachineSettings:
             yield "tools", "both tool and tools are given: keep one of them"
         if self.tools is not None and not self.tools:
             yield "tools", "the list of tools is empty"
+
+
+@dataclass(frozen=True)
+class LateralNoise:
+    """Standard deviation perpendicular to the beam, `sqrt(c^2 + (p r)^2)` at distance r."""
+
+    constant: float = setting(WithUnit("length", minimum=0.0), "c: the part that does not depend on the distance")
+    proportional: float = setting(WithUnit("ratio", minimum=0.0), "p: the part proportional to it", default=0.0)
+
+
+_LATERAL = Either(WithUnit("length", positive=True), Section(LateralNoise))
+
+
+@dataclass(frozen=True)
+class MachineNoise:
+    """Standard deviations of the tracker (beam, lateral), the laser (displacement ...) or lengths (constant ...)."""
+
+    beam: float | None = setting(WithUnit("length", positive=True), "tracker: along the beam", default=None)
+    lateral: float | LateralNoise | None = setting(_LATERAL, "tracker: perpendicular to the beam", default=None)
+    radial: float | LateralNoise | None = setting(_LATERAL, "another name of lateral", default=None)
+    displacement: float | None = setting(WithUnit("length", positive=True), "six-dof: along the beam", default=None)
+    straightness: float | None = setting(
+        WithUnit("length", positive=True), "six-dof: perpendicular to the beam", default=None
+    )
+    angle: float | None = setting(
+        WithUnit("angle", positive=True), "six-dof: angles; about rotary axes the deviation", default=None
+    )
+    constant: float | None = setting(
+        WithUnit("length", positive=True), "lengths: the part that does not depend on the length", default=None
+    )
+    proportional: float = setting(
+        WithUnit("ratio", minimum=0.0), "lengths: the part proportional to the path", default=0.0
+    )
+    probing: float | None = setting(
+        WithUnit("length", positive=True), "probing: each coordinate of a ball's centre", default=None
+    )
+    repeatability: float | str | None = setting(REPEATABILITY, f"lengths: {REPEATABILITY_WORDS}", default=None)
+
+    model: str = model_setting()
+
+    @property
+    def of_lengths(self) -> LengthNoise:
+        """The noise of lengths."""
+        return LengthNoise(self.constant or 0.0, self.proportional, self.repeatability)
+
+    @property
+    def square(self) -> LateralNoise:
+        """The noise perpendicular to the beam, from `lateral` or its other name `radial`; zero if neither is given."""
+        given = self.lateral if self.lateral is not None else self.radial
+        return given if isinstance(given, LateralNoise) else LateralNoise(given or 0.0)
+
+    def faults(self) -> Iterator[tuple[str, str]]:
+        """Yield a fault if both lateral and radial are given, or if the lateral noise is zero."""
+        if self.lateral is not None and self.radial is not None:
+            yield "radial", "lateral and radial are two names of one setting: keep one of them"
+        given = self.lateral if self.lateral is not None else self.radial
+        if isinstance(given, LateralNoise) and given.constant == given.proportional == 0.0:
+            yield "lateral", "the noise is zero, so readings would have infinite weight: give constant or proportional"
+
+
+@dataclass(frozen=True)
+class VolumeGrid:
+    """The grid on which the error of the tool is predicted over the volume."""
+
+    grid: tuple[int, ...] | None = setting(
+        ListOf(Whole(2, 50)), "points along x, y, z, and each rotary axis (default: 7, 6, 6; 5 with them)", default=None
+    )
+    circle: float | None = setting(
+        WithUnit("length", positive=True), "radius of the circular tests (default: 0.4 of the travel)", default=None
+    )
+
+    def counts(self, axes: int = 3) -> tuple[int, ...]:
+        """Return the number of points along each axis."""
+        usual = (7, 6, 6) if axes == len(AXES) else (5,) * axes
+        return usual if self.grid is None or len(self.grid) != axes else self.grid
+
+
+@dataclass(frozen=True)
+class Positioning:
+    """What the figures of ISO 230-2 are uncertain by, besides the noise of the displacement."""
+
+    scale: float = setting(
+        WithUnit("ratio", minimum=0.0), "standard uncertainty of all distances in common", default=0.0
+    )
+    environment: float = setting(
+        WithUnit("length", minimum=0.0), "range of the readings at rest over the time of a test (E_VE)", default=0.0
+    )
+    environment_angle: float = setting(
+        WithUnit("angle", minimum=0.0), "the same of the readings about a rotary axis", default=0.0
+    )

@@ -9,10 +9,15 @@ from metrocli.frozen import dataclass
 from metrocli.instruments.axes.rotary import LOCATIONS, ROTARY_NAMES, SPINDLE_NAMES, WORDS, errors_by_word
 from metrocli.instruments.machine import ALL_NAMES, ANGLES, AXES, SQUARENESS_NAMES, canonical, is_angle
 from metrocli.settings import Choice, Either, Flag, ListOf, Section, Whole, WithUnit, setting
-from metrocli.tasks.calibrate_machine.acceptance.settings import Positioning, VolumeGrid
 from metrocli.tasks.calibrate_machine.files import Inputs
-from metrocli.tasks.calibrate_machine.machine_settings import ESTIMATED, VECTOR, MachineSettings
-from metrocli.tasks.calibrate_machine.noise_settings import MachineNoise
+from metrocli.tasks.calibrate_machine.machine_settings import (
+    ESTIMATED,
+    VECTOR,
+    MachineNoise,
+    MachineSettings,
+    Positioning,
+    VolumeGrid,
+)
 from metrocli.tasks.calibrate_machine.plans.settings import PathPlan
 from metrocli.tasks.shared.environment import Environment
 from metrocli.tasks.shared.figures import adjusted

@@ -12,7 +12,7 @@ from metrocli.frozen import dataclass
 from metrocli.instruments.machine import TOOL, Machine
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine.acceptance.contours import circular, diagonals, draws
-from metrocli.tasks.calibrate_machine.acceptance.settings import VolumeGrid
+from metrocli.tasks.calibrate_machine.machine_settings import VolumeGrid
 from metrocli.tasks.calibrate_machine.rank.identifiability import Identifiability
 from metrocli.tasks.calibrate_machine.tables import Tables, unit_of_position
 from metrocli.tasks.calibrate_machine.volume import ToolErrors, grid_of, predict, tips, without_rigid_motion

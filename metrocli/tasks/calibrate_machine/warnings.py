@@ -12,9 +12,9 @@ from metrocli.instruments.axes.rotary import RotaryAxis
 from metrocli.instruments.machine import TOOL, Machine, errors_of
 from metrocli.instruments.tracer import TRACER
 from metrocli.table import Table
-from metrocli.tasks.calibrate_machine.methods.backwards import unseen_senses
+from metrocli.tasks.calibrate_machine.methods.lengths import unseen_senses
 from metrocli.tasks.calibrate_machine.rank.identifiability import Identifiability
-from metrocli.tasks.calibrate_machine.rank.layout import line_of, stations_lie
+from metrocli.tasks.calibrate_machine.rank.open_directions import line_of, stations_lie
 from metrocli.tasks.calibrate_machine.settings import LENGTHS, ON_THE_FLY, Settings
 from metrocli.tasks.calibrate_machine.solve import AdjustedMachine
 from metrocli.tasks.calibrate_machine.tables import Tables

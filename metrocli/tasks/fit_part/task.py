@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from metrocli.result import Result
-from metrocli.tasks.fit_part.monte_carlo import checked
-from metrocli.tasks.fit_part.report import report
+from metrocli.tasks.fit_part.report import checked, report
 from metrocli.tasks.fit_part.settings import Files, Settings
 from metrocli.tasks.fit_part.solve import prepare, solve
 from metrocli.tasks.job import Job, Task

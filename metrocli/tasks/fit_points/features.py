@@ -17,9 +17,9 @@ from metrocli.tasks.fit_points import KIND
 from metrocli.tasks.fit_points.listed import listed_points, table_of
 from metrocli.tasks.shared.features.fit import least_squares
 from metrocli.tasks.shared.features.ideal import UNKNOWNS, IdealFeature
-from metrocli.tasks.shared.features.joint import JointCovariance
 from metrocli.tasks.shared.features.report import COVARIANCE, FEATURES, SHOWN, estimates_of, exchanging, fitted
 from metrocli.tasks.shared.features.requested import RequestedFeature
+from metrocli.tasks.shared.joint_covariance import JointCovariance
 from metrocli.tasks.shared.rounding import rounding_of
 from metrocli.units import sized
 

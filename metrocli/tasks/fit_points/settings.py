@@ -10,7 +10,7 @@ from metrocli.result import Result
 from metrocli.settings import Choice, Either, FileOf, Flag, LocatedValue, Section, TableFile, WithUnit, setting
 from metrocli.settings.sections import content, inputs_of
 from metrocli.table import ABSENT, Columns, Table, columns
-from metrocli.tasks.shared.features.settings import features_through
+from metrocli.tasks.shared.features.requested import features_through
 from metrocli.tasks.shared.figures import POSE, adjusted
 from metrocli.tasks.shared.lists import SIGMAS
 

@@ -16,7 +16,7 @@ from metrocli.table import Table
 from metrocli.tasks.multilaterate.probed.tips import ANY, Tips, tips_of
 from metrocli.tasks.multilaterate.problem import TracerNetwork
 from metrocli.tasks.multilaterate.settings import Correction, Files, Settings
-from metrocli.tasks.shared.features.joint import JointCovariance
+from metrocli.tasks.shared.joint_covariance import JointCovariance
 from metrocli.tasks.shared.part import Part
 from metrocli.uncertainty.predicted import COMMON, CORE
 from metrocli.words import listed

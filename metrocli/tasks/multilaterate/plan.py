@@ -24,8 +24,7 @@ from metrocli.table import Table
 from metrocli.tasks.multilaterate import KIND, layout_faults
 from metrocli.tasks.multilaterate.layout import PlannedNetwork, Ranking, ranked, root_mean_square, worst_direction
 from metrocli.tasks.multilaterate.uncontrolled import scale_warnings, uncontrolled
-from metrocli.tasks.shared.reliability import reliability
-from metrocli.tasks.shared.statistics import estimates_of_block
+from metrocli.tasks.shared.statistics import estimates_of_block, reliability
 from metrocli.tasks.shared.uncontrolled import in_words
 from metrocli.units import roughly
 

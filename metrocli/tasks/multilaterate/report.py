@@ -17,9 +17,8 @@ from metrocli.table import Table
 from metrocli.tasks.multilaterate import KIND, layout_faults
 from metrocli.tasks.multilaterate.blunders import Reason
 from metrocli.tasks.multilaterate.correction import Probing, corrected, distant, list_offset, wrong_entries
-from metrocli.tasks.multilaterate.second_places import noise_of_tests
 from metrocli.tasks.multilaterate.solve import AdjustedTracers
-from metrocli.tasks.multilaterate.uncontrolled import scale_warnings, uncontrolled
+from metrocli.tasks.multilaterate.uncontrolled import noise_of_tests, scale_warnings, uncontrolled
 from metrocli.tasks.shared.environment import blocks_of, estimates_of
 from metrocli.tasks.shared.features.report import FEATURES, SHOWN, exchanging, fitted
 from metrocli.tasks.shared.features.requested import RequestedFeature
@@ -27,7 +26,6 @@ from metrocli.tasks.shared.joint_covariance import factors
 from metrocli.tasks.shared.lists import name_of
 from metrocli.tasks.shared.noise import NoiseFound
 from metrocli.tasks.shared.part import Part
-from metrocli.tasks.shared.reliability import reliability
 from metrocli.tasks.shared.statistics import (
     REMOVE,
     REPEATS,
@@ -39,6 +37,7 @@ from metrocli.tasks.shared.statistics import (
     found_notes,
     noise_notes,
     noise_warnings,
+    reliability,
     with_found,
 )
 from metrocli.tasks.shared.uncontrolled import in_words

@@ -9,7 +9,7 @@ from metrocli.settings import Choice, LocatedValue, Section, TableFile, WithUnit
 from metrocli.settings.sections import content, inputs_of
 from metrocli.table import ABSENT, Columns, Table, columns
 from metrocli.tasks.shared.environment import WEATHER, Environment
-from metrocli.tasks.shared.features.settings import features_through
+from metrocli.tasks.shared.features.requested import features_through
 from metrocli.tasks.shared.figures import adjusted
 from metrocli.tasks.shared.lengths import LengthNoise, Scale
 from metrocli.tasks.shared.lists import SIGMAS

@@ -33,7 +33,7 @@ from metrocli.tasks.multilaterate.blunders import (
 )
 from metrocli.tasks.multilaterate.layout_faults import explained, is_determined
 from metrocli.tasks.multilaterate.problem import LENGTHS, TracerNetwork
-from metrocli.tasks.multilaterate.second_places import EQUAL, at_others, noise_of_tests, second_places, units_of_tests
+from metrocli.tasks.multilaterate.uncontrolled import EQUAL, at_others, noise_of_tests, second_places, units_of_tests
 from metrocli.tasks.shared.lengths import with_repeatability
 from metrocli.tasks.shared.lists import name_of
 from metrocli.tasks.shared.mirror import Mirrored, must_be_decided

@@ -14,12 +14,11 @@ from metrocli.result import Estimate, Result
 from metrocli.table import Table
 from metrocli.tasks.report_uncertainty import KIND
 from metrocli.tasks.report_uncertainty import budget as budget_text
-from metrocli.tasks.report_uncertainty.budget import MeasurandBudget
+from metrocli.tasks.report_uncertainty.budget import MeasurandBudget, needed_factors
 from metrocli.tasks.report_uncertainty.decisions import PLAIN as DECIDED
 from metrocli.tasks.report_uncertainty.decisions import DecidedMeasurand, decide, limits_of, lines
 from metrocli.tasks.report_uncertainty.entries import Entries
 from metrocli.tasks.report_uncertainty.problem import PropagationProblem
-from metrocli.tasks.report_uncertainty.reverse_budget import needed_factors
 from metrocli.uncertainty.monte_carlo import MonteCarloResult
 from metrocli.uncertainty.propagation import (
     Coverage,

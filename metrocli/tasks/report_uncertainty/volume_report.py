@@ -19,7 +19,7 @@ from metrocli.frozen import dataclass
 from metrocli.result import Estimate, Result
 from metrocli.table import Table
 from metrocli.tasks.report_uncertainty import KIND
-from metrocli.tasks.report_uncertainty.aligned_text import aligned
+from metrocli.tasks.report_uncertainty.budget import aligned
 from metrocli.tasks.report_uncertainty.entries import Entries
 from metrocli.tasks.report_uncertainty.volume_problem import VolumeProblem, build
 from metrocli.uncertainty import monte_carlo

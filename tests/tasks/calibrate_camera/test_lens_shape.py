@@ -23,7 +23,7 @@ from metrocli.diagnosis.rounds import searched
 from metrocli.instruments.lenses.distortion import undistort
 from metrocli.project.diagnosed import adjusted_job_of, carry_out, write_extended
 from metrocli.project.job import load
-from metrocli.tasks.calibrate_camera.shape.size import Evidence, likely
+from metrocli.tasks.calibrate_camera.shape.spline import Evidence, likely
 
 Metrocli = Callable[..., Any]
 SIZE = (960, 720)

@@ -11,7 +11,7 @@ import pytest
 
 from metrocli.geometry import poses
 from metrocli.instruments import camera
-from metrocli.tasks.calibrate_camera.multi_camera.views import views_of
+from metrocli.tasks.calibrate_camera.multi_camera.alone import views_of
 from metrocli.tasks.calibrate_camera.projection_error import _LensDerivatives, _Projection
 
 COLUMNS, VALUES = ("f", "cx", "cy", "k1"), np.array([1000.0, 500.0, 400.0, -0.1])

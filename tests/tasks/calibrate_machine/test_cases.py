@@ -77,7 +77,7 @@ def test_a_wave_shorter_than_the_pieces_of_a_path_is_not_called_excluded() -> No
     from simulated import machine as sim
 
     from metrocli.diagnosis.diagnose import diagnose
-    from metrocli.tasks.calibrate_machine.noise_settings import MachineNoise
+    from metrocli.tasks.calibrate_machine.machine_settings import MachineNoise
 
     rng = np.random.default_rng(81)
     machine = sim.random_machine(rng)

@@ -12,10 +12,10 @@ from simulated import machine as sim
 from metrocli.adjust.model.blocks import Block, Space
 from metrocli.adjust.model.groups import Group
 from metrocli.arrays import Array
+from metrocli.tasks.calibrate_machine.machine_settings import MachineNoise
 from metrocli.tasks.calibrate_machine.methods.on_the_fly import measurement, on_the_fly
 from metrocli.tasks.calibrate_machine.methods.six_dof import six_dof
 from metrocli.tasks.calibrate_machine.methods.standstill import standstill
-from metrocli.tasks.calibrate_machine.noise_settings import MachineNoise
 from metrocli.tasks.calibrate_machine.problem import MachineProblem
 
 KNOTS = (4, 4, 3)

@@ -14,7 +14,7 @@ from metrocli.diagnosis.diagnose import diagnose, what_can_be_seen
 from metrocli.diagnosis.findings import Diagnosis
 from metrocli.instruments.machine_path import Path, since_turn
 from metrocli.tasks.calibrate_machine import task as calibrate_machine
-from metrocli.tasks.calibrate_machine.noise_settings import MachineNoise
+from metrocli.tasks.calibrate_machine.machine_settings import MachineNoise
 
 Array = NDArray[np.float64]
 WIDTH = 0.006

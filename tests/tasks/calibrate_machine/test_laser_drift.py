@@ -12,7 +12,7 @@ from simulated import machine as sim
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.diagnose import diagnose, what_can_be_seen
 from metrocli.tasks.calibrate_machine import task as calibrate_machine
-from metrocli.tasks.calibrate_machine.noise_settings import MachineNoise
+from metrocli.tasks.calibrate_machine.machine_settings import MachineNoise
 
 Array = NDArray[np.float64]
 Drift = Callable[[str, Array, Array, Array], Array]

@@ -21,9 +21,9 @@ from metrocli.table import Table
 from metrocli.tasks.calibrate_machine import task as calibrate_machine
 from metrocli.tasks.calibrate_machine.diagnosis import noise_of
 from metrocli.tasks.calibrate_machine.files import Files
-from metrocli.tasks.calibrate_machine.noise_settings import MachineNoise
+from metrocli.tasks.calibrate_machine.machine_settings import MachineNoise
 from metrocli.tasks.calibrate_machine.plans.settings import PathPlan
-from metrocli.tasks.calibrate_machine.rank.layout import line_of, stations_lie
+from metrocli.tasks.calibrate_machine.rank.open_directions import line_of, stations_lie
 from metrocli.tasks.calibrate_machine.settings import Settings
 from metrocli.tasks.calibrate_machine.solve import AdjustedMachine, solve
 from metrocli.tasks.calibrate_machine.tables import tables_of

@@ -17,7 +17,7 @@ from metrocli.project.job import load
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine.described import machine_of
 from metrocli.tasks.calibrate_machine.methods import of_network
-from metrocli.tasks.calibrate_machine.methods.positions import positions_of
+from metrocli.tasks.calibrate_machine.methods.standstill import positions_of
 
 Metrocli = Callable[..., Ran]
 

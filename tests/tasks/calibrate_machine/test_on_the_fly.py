@@ -15,7 +15,7 @@ from metrocli.instruments.machine_path import Path
 from metrocli.instruments.track_alignment import align
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine import task as calibrate_machine
-from metrocli.tasks.calibrate_machine.noise_settings import MachineNoise
+from metrocli.tasks.calibrate_machine.machine_settings import MachineNoise
 from metrocli.tasks.calibrate_machine.settings import Settings
 
 KNOTS = (5, 5, 5)

@@ -16,7 +16,7 @@ from metrocli.diagnosis.diagnose import diagnose, what_can_be_seen
 from metrocli.diagnosis.findings import Diagnosis
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine import task as calibrate_machine
-from metrocli.tasks.calibrate_machine.noise_settings import MachineNoise
+from metrocli.tasks.calibrate_machine.machine_settings import MachineNoise
 
 Array = NDArray[np.float64]
 WIDTH, TILT = 0.012, np.array([4e-5, -3e-5, 5e-5])

@@ -12,7 +12,7 @@ from simulated import machine as sim
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.diagnose import diagnose
 from metrocli.tasks.calibrate_machine import task as calibrate_machine
-from metrocli.tasks.calibrate_machine.noise_settings import LateralNoise, MachineNoise
+from metrocli.tasks.calibrate_machine.machine_settings import LateralNoise, MachineNoise
 
 Array = NDArray[np.float64]
 STEP = 0.02

@@ -13,7 +13,7 @@ from metrocli.tasks.calibrate_machine import task as calibrate_machine
 from metrocli.tasks.calibrate_machine.acceptance.positioning import LineUncertainty
 from metrocli.tasks.calibrate_machine.iso230 import Run, at_targets
 from metrocli.tasks.calibrate_machine.iso230 import positioning as positioning_of
-from metrocli.tasks.calibrate_machine.noise_settings import MachineNoise
+from metrocli.tasks.calibrate_machine.machine_settings import MachineNoise
 from metrocli.tasks.calibrate_machine.settings import Settings
 
 KNOTS = (5, 6, 5)

@@ -21,7 +21,7 @@ from metrocli.table import Table
 from metrocli.tasks.multilaterate import task as multilaterate
 from metrocli.tasks.multilaterate.settings import Correction
 from metrocli.tasks.shared.features.ideal import IdealFeature
-from metrocli.tasks.shared.features.settings import SHAPES, Feature
+from metrocli.tasks.shared.features.requested import SHAPES, Feature
 from metrocli.tasks.shared.part import Part
 
 BALLS = np.array([[150.0, 150.0, 100.0], [800.0, 420.0, 380.0]])

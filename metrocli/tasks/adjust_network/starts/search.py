@@ -21,9 +21,9 @@ from metrocli.tasks.adjust_network.starts.agreement import (
     known_turns,
     list_offset,
     must_agree,
+    placed_by_lengths,
     with_level_beams,
 )
-from metrocli.tasks.adjust_network.starts.by_lengths import placed_by_lengths
 from metrocli.words import listed
 
 _ENOUGH = 200

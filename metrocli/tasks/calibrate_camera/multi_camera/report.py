@@ -21,9 +21,8 @@ from metrocli.tasks.calibrate_camera import KIND
 from metrocli.tasks.calibrate_camera.advice import correlation_warnings, unfolded
 from metrocli.tasks.calibrate_camera.diagnosis import PITCH
 from metrocli.tasks.calibrate_camera.length_errors import length_errors
-from metrocli.tasks.calibrate_camera.multi_camera.alone import doubts_and_warnings, view_warnings
+from metrocli.tasks.calibrate_camera.multi_camera.alone import doubts_and_warnings, view_warnings, views_of
 from metrocli.tasks.calibrate_camera.multi_camera.system import CameraSystem
-from metrocli.tasks.calibrate_camera.multi_camera.views import views_of
 from metrocli.tasks.calibrate_camera.projection_error import (
     CameraOfSystem,
     corner_warnings,
@@ -45,9 +44,16 @@ from metrocli.tasks.shared.images.camera_parameters import (
     with_effects,
 )
 from metrocli.tasks.shared.images.exposures import IMAGE
-from metrocli.tasks.shared.images.seen_points import depths, points_of, with_places
 from metrocli.tasks.shared.images.settings import SPLINE
-from metrocli.tasks.shared.images.tables import adjustment_notes, image_statistics, image_tables, image_warnings
+from metrocli.tasks.shared.images.tables import (
+    adjustment_notes,
+    depths,
+    image_statistics,
+    image_tables,
+    image_warnings,
+    points_of,
+    with_places,
+)
 from metrocli.tasks.shared.statistics import Statistics, chi_interval, noise_notes, noise_warnings
 from metrocli.tasks.shared.uncontrolled import SCALE, SCALE_WORDS, TABLE, Hidden, in_words, table_of
 

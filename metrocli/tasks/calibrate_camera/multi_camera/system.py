@@ -22,7 +22,6 @@ from metrocli.instruments import camera
 from metrocli.instruments.lenses.lens import PARAMETERS
 from metrocli.table import Table
 from metrocli.tasks.calibrate_camera.build import build, needed, target_datum
-from metrocli.tasks.calibrate_camera.multi_camera.images import connected, of_camera
 from metrocli.tasks.calibrate_camera.multi_camera.start import CalibratedCamera, all_in_first, pose_between
 from metrocli.tasks.calibrate_camera.problem import CameraProblem
 from metrocli.tasks.calibrate_camera.readings import scale_bars, units_doubted
@@ -242,3 +241,38 @@ def _lenses(cameras: Sequence[str], blocks: Sequence[Block]) -> Block:
     )
     reach = [max(block.reach[block.column(name)] for block in blocks if name in block.columns) for name in columns]
     return Block(camera.LENS, values, columns, tuple(cameras), free, np.array(reach), noun="camera")
+
+
+def of_camera(sighted: Sighted, exposed: Exposures, camera: int) -> Sighted:
+    """Return the sightings of one camera."""
+    mine = exposed.camera == camera
+    observations = sighted.observations.selected(mine[sighted.view])
+    view = (np.cumsum(mine) - 1)[observations.index["view"]]
+    names = tuple(name for name, own in zip(sighted.images, mine, strict=True) if own)
+    observations = replace(observations, index={**observations.index, "view": view})
+    return replace(sighted, images=names, observations=observations, warnings=())
+
+
+def connected(exposed: Exposures) -> list[tuple[int, int]]:
+    """Return each camera but the first with the one by which its pose is found, nearer ones first.
+
+    Raises UndeterminedError if a camera has no exposure in common with any that is connected to the first.
+    """
+    count = len(exposed.cameras)
+    there = [exposed.exposure[exposed.camera == number] for number in range(count)]
+    shared = np.array([[len(np.intersect1d(one, other)) for other in there] for one in there])
+    reached, pairs = [0], list[tuple[int, int]]()
+    while len(reached) < count:
+        others = [number for number in range(count) if number not in reached]
+        among = shared[np.ix_(others, reached)]
+        if not among.any():
+            alone, rest = (in_a_row([exposed.cameras[i] for i in some]) for some in (others, reached))
+            raise UndeterminedError(
+                f"{alone} and {rest} have no exposure in common, so nothing places them in one frame.\n"
+                "  Images of one exposure have the same text for * in their names (`cameras: images`).\n"
+                "  what would determine it: images of both at once that show the targets"
+            )
+        i, j = np.unravel_index(int(among.argmax()), among.shape)
+        pairs.append((others[int(i)], reached[int(j)]))
+        reached.append(others[int(i)])
+    return pairs

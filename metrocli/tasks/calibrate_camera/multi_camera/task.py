@@ -1,25 +1,30 @@
-"""calibrate-camera with `cameras:`: run and check."""
+"""calibrate-camera with `cameras:`: run, check and diagnose."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
 
+import numpy as np
+
 from metrocli.adjust.clusters.robust import FROM_RESIDUALS, STRUCTURED, must_suffice
 from metrocli.adjust.outcome import Outcome
-from metrocli.diagnosis.adjusted_job import AdjustedJob
+from metrocli.diagnosis.adjusted_job import AdjustedJob, Delivered
 from metrocli.errors import InputError, UndeterminedError
 from metrocli.imageset import ImageSet
+from metrocli.instruments import camera
 from metrocli.result import Result
+from metrocli.tasks.calibrate_camera import KIND
 from metrocli.tasks.calibrate_camera.advice import in_words
+from metrocli.tasks.calibrate_camera.effects import EFFECTS
 from metrocli.tasks.calibrate_camera.length_errors import must_not_be_used
 from metrocli.tasks.calibrate_camera.multi_camera.alone import fisheyes
-from metrocli.tasks.calibrate_camera.multi_camera.diagnosis import adjusted_job
 from metrocli.tasks.calibrate_camera.multi_camera.report import delivered, report
 from metrocli.tasks.calibrate_camera.multi_camera.system import CameraSystem, system_of
 from metrocli.tasks.calibrate_camera.settings import FEWEST, Files, OneOfSeveral, Settings
 from metrocli.tasks.job import Job
 from metrocli.tasks.shared.images.adjustment import AdjustedImages, Options, adjust_images, must_converge
+from metrocli.tasks.shared.images.covariates import at_solution, covariate, folds, named, place_of_target, refit
 from metrocli.tasks.shared.images.exposures import exposures
 from metrocli.tasks.shared.images.settings import ESTIMATE
 from metrocli.tasks.shared.images.sightings import Needs, sightings
@@ -91,3 +96,29 @@ def _solved(settings: Settings, system: CameraSystem) -> AdjustedImages:
         raise UndeterminedError("\n".join(lines), solution.misfit)
     must_converge(solution, () if solution.outcome.good else fisheyes(system, settings, solution))
     return adjusted
+
+
+_OF_TARGETS = ("stretched-targets", "target-plane-bend", "moved-target", "scale-of-targets")
+_OF_ONE = "it is sought in the images of one camera: diagnose a job of that camera alone"
+
+
+def adjusted_job(system: CameraSystem, adjusted: AdjustedImages) -> AdjustedJob:
+    """Return adjusted cameras as input of `diagnose`; cross-validation holds out whole exposures."""
+    model = at_solution(system.model, adjusted)
+    index = model.readings[0].observations.index
+    order = covariate("order of the images", index["view"].astype(float), 5)
+    return AdjustedJob(
+        KIND.name,
+        model,
+        EFFECTS,
+        named([order, place_of_target(model, 3)]),
+        ("image",),
+        folds(index["view"]),
+        Delivered("places of the cameras", camera.MOUNT, (0, 1, 2), "um", "length"),
+        refit(system.datum),
+        fewest=2,
+        single_components=True,
+        sharing=len(np.unique(index["view"])),
+        made_together=("image",),
+        not_sought={effect.name: _OF_ONE for effect in EFFECTS if effect.name not in _OF_TARGETS},
+    )

@@ -1,24 +1,30 @@
-"""standstill: build the adjustment of points that the tracker measured at commanded positions."""
+"""standstill: build the adjustment of points that the tracker measured at commanded, or estimated, positions."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import field
+
 import numpy as np
 
+from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.chain import Chain
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Observations
-from metrocli.arrays import Array
+from metrocli.arrays import Array, Index
 from metrocli.errors import Fault, InputError
-from metrocli.instruments.axes.error_motion import FAR_OFF
+from metrocli.frozen import dataclass
+from metrocli.instruments.axes.error_motion import FAR_OFF, positions_block
 from metrocli.instruments.axes.kinematics import reach
 from metrocli.instruments.axes.rotary import gauge
+from metrocli.instruments.machine import Machine
 from metrocli.instruments.tracker import FACE, POLAR, TRACKER, TrackerNoise, cartesian, point_chain, tracker_block
 from metrocli.result import Result
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine.described import commanded, error_blocks, machine_of, must_support
 from metrocli.tasks.calibrate_machine.files import NO_FILES, Files
+from metrocli.tasks.calibrate_machine.machine_settings import ESTIMATED
 from metrocli.tasks.calibrate_machine.methods.of_network import NONE, NetworkErrors, measured_in
-from metrocli.tasks.calibrate_machine.methods.positions import positions_of
 from metrocli.tasks.calibrate_machine.methods.targets import BED, targets, with_distances
 from metrocli.tasks.calibrate_machine.methods.track import tracker_pose
 from metrocli.tasks.calibrate_machine.problem import MachineProblem, conditions, model_of
@@ -109,3 +115,37 @@ def _measured(settings: Settings, points: Table, network: Result | None) -> tupl
         hint = "measured places are mx_mm, my_mm, mz_mm, or distance_mm, azimuth_deg, elevation_deg"
         raise InputError([points.fault(f"the column '{missing}_mm' is missing", hint)])
     return measured, tracker_noise(settings).covariance(measured), NONE
+
+
+_RUN = "run"
+
+
+@dataclass(frozen=True)
+class PositionsOfAxes:
+    """Unknown positions of rotary axes; empty where all are given."""
+
+    blocks: Mapping[str, Block] = field(default_factory=dict)
+    index: Mapping[str, Index] = field(default_factory=dict)
+    letters: tuple[str, ...] = ()
+
+
+def positions_of(settings: Settings, machine: Machine, position: Array, points: Table) -> PositionsOfAxes:
+    """Return the positions (axes, n) that a job estimates: one for each position of an axis in each run.
+
+    An axis that a run does not move has one position in it. Without a column run all rows are one run.
+    """
+    estimated = {letter for letter, axis in settings.machine.axes.turning.items() if axis.positions == ESTIMATED}
+    runs = np.array(points.texts(_RUN) if _RUN in points else ("",) * len(points))
+    found = PositionsOfAxes()
+    for axis, own in zip(machine.axes, position, strict=True):
+        if axis.letter in estimated:
+            # nine digits: two positions that differ in the file must not become one
+            named = zip(runs.tolist(), np.degrees(own).tolist(), strict=True)
+            names = [f"{run} {at:.9g}".strip() for run, at in named]
+            number = {name: i for i, name in enumerate(dict.fromkeys(names))}
+            block = positions_block(axis.letter, list(number))
+            index = {block.name: np.array([number[name] for name in names], dtype=np.intp)}
+            found = PositionsOfAxes(
+                {**found.blocks, block.name: block}, {**found.index, **index}, (*found.letters, axis.letter)
+            )
+    return found

@@ -13,9 +13,9 @@ from metrocli.result import Estimate
 from metrocli.table import Table
 from metrocli.tasks.shared.features.fit import Criterion, FeatureFit, gradients, least_squares
 from metrocli.tasks.shared.features.ideal import NUMBERS, IdealFeature
-from metrocli.tasks.shared.features.joint import JointCovariance
 from metrocli.tasks.shared.features.minimum_zone import minimum_zone
 from metrocli.tasks.shared.features.requested import RequestedFeature
+from metrocli.tasks.shared.joint_covariance import JointCovariance
 from metrocli.tasks.shared.rounding import rounding_of, without_rounding
 from metrocli.words import listed
 

@@ -1,15 +1,16 @@
-"""The features that a job asks for, and their probing points."""
+"""The features that a job asks for: their keys, and their probing points."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
 from metrocli.arrays import Index
 from metrocli.errors import Fault, InputError
 from metrocli.frozen import dataclass
-from metrocli.settings import LocatedValue
+from metrocli.settings import At, Choice, Either, LocatedValue, MapOf, Section, setting
 from metrocli.table import Table
 from metrocli.tasks.shared.features.fit import Criterion, fewest
 from metrocli.tasks.shared.features.ideal import IdealFeature
@@ -63,3 +64,25 @@ def _fault(
             f"{at}: feature '{name}' has {points} points", f"expected {least} or more for a {shape}"
         )
     return None
+
+
+SHAPES = ("line", "plane", "circle", "sphere", "cylinder", "cone")
+
+
+@dataclass(frozen=True)
+class Feature:
+    """An ideal feature to lay through points."""
+
+    shape: str = setting(Choice(*SHAPES), "the ideal shape")
+    fit: str = setting(
+        Choice("least-squares", "minimum-zone", "both"), "how it is laid through the points", default="least-squares"
+    )
+
+
+def features_through(points: str) -> Any:
+    """Return the key `features` of a job: shapes, or shapes and fits, by the names of features."""
+    return setting(
+        MapOf(At(Either(Choice(*SHAPES), Section(Feature)))),
+        f"ideal features through {points}, by the names in column `feature`",
+        default={},
+    )
