@@ -74,8 +74,8 @@ def _of_rotary_axes(name: str, files: Callable[..., Exported], result: Result) -
     What the job estimates and the files lack has its reason in a text beside them, or is raised if there are none.
     """
     from metrocli.errors import Fault, InputError
+    from metrocli.exports.compensation import has_positioning
     from metrocli.exports.pivots import OF_CONTROLS, wanted
-    from metrocli.exports.turning_axes import has_positioning
 
     texts: dict[str, Table | str] = {}
     reasons: list[Fault] = []

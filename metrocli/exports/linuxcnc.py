@@ -15,9 +15,8 @@ import numpy as np
 
 from metrocli.arrays import Array
 from metrocli.errors import InputError
-from metrocli.exports.compensation import CompensationFormat, Texts, files_of
+from metrocli.exports.compensation import CompensationFormat, Texts, files_of, test_move
 from metrocli.exports.error_tables import LETTERS, POSITIONING, ErrorTable, ErrorTables
-from metrocli.exports.turning_axes import test_move
 from metrocli.result import Result
 
 MOST_POINTS = 256

@@ -14,9 +14,8 @@ import numpy as np
 
 from metrocli.arrays import Array
 from metrocli.errors import InputError
-from metrocli.exports.compensation import CompensationFormat, Texts, files_of
+from metrocli.exports.compensation import CompensationFormat, Texts, files_of, test_move
 from metrocli.exports.error_tables import LETTERS, POSITIONING, ErrorTable, ErrorTables, unit_of
-from metrocli.exports.turning_axes import test_move
 from metrocli.exports.volumetric import evenly
 from metrocli.result import Result
 

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from metrocli.arrays import Array
 from metrocli.frozen import dataclass
-from metrocli.targets.codes import BITS, DOT, RING_FROM, RING_TO, SHEET
+from metrocli.targets.coded_rings import BITS, DOT, RING_FROM, RING_TO, SHEET
 from metrocli.targets.pattern import Pattern, lattice
 
 Field = npt.NDArray[np.floating]

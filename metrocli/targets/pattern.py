@@ -1,18 +1,20 @@
-"""The pattern of targets in images: its keys in a job, and the names and coordinates of its points."""
+"""The pattern of targets in images: its keys in a job or in words, and the names and places of its points."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 from metrocli.arrays import Array
+from metrocli.errors import UsageError
 from metrocli.frozen import dataclass
 from metrocli.settings import Choice, Flag, Text, Whole, WithUnit, setting
+from metrocli.words import suggestion
 
 if TYPE_CHECKING:
     import numpy as np
     import numpy.typing as npt
-
 
 CORNERS = ("chessboard", "charuco", "aprilgrid")
 """Types of board whose points are corners."""
@@ -120,3 +122,34 @@ def pattern_points(pattern: Pattern) -> tuple[tuple[str, ...], Array]:
     else:
         flat = steps * float(pattern.pitch)
     return names(pattern), np.column_stack([flat, np.zeros(len(flat))])
+
+
+_SIZE, _LENGTH = re.compile(r"([0-9]+)x([0-9]+)"), re.compile(r"([0-9.]+)\s*(mm|cm|um|m|in|inch)")
+_SECOND = {
+    "charuco": "marker_size",
+    "aprilgrid": "marker_size",
+    "circles": "diameter",
+    "asymmetric-circles": "diameter",
+}
+"""Key of the second length of a board"""
+_EXAMPLE = "e.g. 'chessboard 9x6 25 mm', 'charuco 11x8 15 mm 11 mm 4x4_50', 'circles 10x8 25 mm 15 mm'"
+
+
+def board_in_words(board: str) -> dict[str, str]:
+    """Return the keys of a pattern from type, columns x rows of its points, pitch, and what its type has more.
+
+    Raises UsageError for words that describe no board.
+    """
+    kind, _, rest = board.strip().partition(" ")
+    if kind not in GRIDS:
+        raise UsageError(f"--board '{board}': no board '{kind}'; {suggestion(kind, GRIDS)}; {_EXAMPLE}")
+    lengths = [f"{number} {unit}" for number, unit in _LENGTH.findall(rest)]
+    sizes, *others = _LENGTH.sub(" ", rest).split() or [""]
+    size = _SIZE.fullmatch(sizes)
+    keys = ["pitch", *([_SECOND[kind]] if kind in _SECOND else [])]
+    if size is None or not lengths or len(lengths) > len(keys) or len(others) > (kind == "charuco"):
+        raise UsageError(
+            f"--board '{board}' is not type, columns x rows, pitch, and what its type has more; {_EXAMPLE}"
+        )
+    words = {"type": kind, "columns": size[1], "rows": size[2], **dict(zip(keys, lengths, strict=False))}
+    return words | ({"dictionary": others[0]} if others else {})

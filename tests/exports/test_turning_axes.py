@@ -9,7 +9,7 @@ import pytest
 
 from metrocli.errors import InputError
 from metrocli.exports import FORMATS, export
-from metrocli.exports.turning_axes import positioning_of
+from metrocli.exports.compensation import positioning_of
 from metrocli.result import Result
 from metrocli.table import Table
 

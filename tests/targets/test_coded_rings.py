@@ -9,7 +9,7 @@ from places import SHARED
 from targets.camera_for_tests import Camera, about_z, tilted
 
 from metrocli.targets import blobs, ellipses
-from metrocli.targets.codes import BITS, arcs, canonical, codes
+from metrocli.targets.coded_rings import BITS, arcs, canonical, codes
 from metrocli.targets.drawings import Chessboard, CodedRing, Dot
 from metrocli.targets.ellipses import fit
 from metrocli.targets.find import find

@@ -65,7 +65,7 @@ def _lenses(first: Result, second: Result) -> dict[str, dict[str, float]]:
     """Return by how much the lenses of each camera of two calibrations differ over the image, by their names."""
     if {first.kind, second.kind} != {"calibrate-camera"}:
         return {}
-    from metrocli.tasks.shared.images.lens_difference import lens_differences
+    from metrocli.tasks.shared.images.calibrated import lens_differences
 
     sizes = ((one.name, one.rms, *one.largest) for one in lens_differences(first, second))
     return {name or "camera": {"rms": rms, "largest": worst, "u": u, "v": v} for name, rms, worst, u, v in sizes}

@@ -13,7 +13,7 @@ import click
 
 from metrocli.cli import options
 from metrocli.cli.console import Console, print_files
-from metrocli.cli.look.beside import beside_of, diagnosis_of
+from metrocli.cli.look.plot import beside_of, diagnosis_of
 from metrocli.errors import InputError, UsageError
 from metrocli.project import PROJECT_FILE
 

@@ -8,7 +8,7 @@ from metrocli.plots.beside import Beside
 from metrocli.plots.magnify import in_words, magnification
 from metrocli.plots.style import Canvas, arrows
 from metrocli.result import Result
-from metrocli.tasks.shared.images.lens_difference import LensDifference, lens_differences
+from metrocli.tasks.shared.images.calibrated import LensDifference, lens_differences
 
 _NOTHING = 1e-4
 """Difference [px] that is as good as none: a smaller one has no visible vector"""

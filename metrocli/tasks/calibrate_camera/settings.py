@@ -26,8 +26,7 @@ from metrocli.settings import (
 )
 from metrocli.settings.sections import content, inputs_of
 from metrocli.table import Columns, Table, columns
-from metrocli.targets.board_in_words import board_in_words
-from metrocli.targets.pattern import Pattern
+from metrocli.targets.pattern import Pattern, board_in_words
 from metrocli.tasks.calibrate_camera.multi_camera.truth import CameraSimulation
 from metrocli.tasks.shared.figures import POSE, adjusted
 from metrocli.tasks.shared.images.search import OBSERVATIONS

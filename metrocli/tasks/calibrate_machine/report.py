@@ -21,16 +21,6 @@ from metrocli.tasks.calibrate_machine.acceptance.mount import mount
 from metrocli.tasks.calibrate_machine.acceptance.paths import paths
 from metrocli.tasks.calibrate_machine.acceptance.rotary_motion import rotary_motion
 from metrocli.tasks.calibrate_machine.acceptance.runs import positioning_of, shown_figures
-from metrocli.tasks.calibrate_machine.beside_tables import (
-    entries,
-    linear_axes,
-    lines,
-    on_workpiece,
-    positions,
-    rotary_axes,
-    stations,
-    tracker,
-)
 from metrocli.tasks.calibrate_machine.problem import PLACES_OF_AXES
 from metrocli.tasks.calibrate_machine.rank.identifiability import Identifiability
 from metrocli.tasks.calibrate_machine.settings import Settings
@@ -38,9 +28,17 @@ from metrocli.tasks.calibrate_machine.solve import AdjustedMachine
 from metrocli.tasks.calibrate_machine.tables import (
     Determination,
     Tables,
+    entries,
     least_squares_squareness,
+    linear_axes,
+    lines,
+    on_workpiece,
+    positions,
+    rotary_axes,
+    stations,
     tables_of,
     tool_names,
+    tracker,
     unit_of,
     unit_of_position,
 )

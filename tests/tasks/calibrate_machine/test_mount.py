@@ -16,7 +16,7 @@ from metrocli.formats.hdf5 import read
 from metrocli.project.job import load
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine.described import machine_of
-from metrocli.tasks.calibrate_machine.methods import of_network
+from metrocli.tasks.calibrate_machine.methods import standstill
 from metrocli.tasks.calibrate_machine.methods.standstill import positions_of
 
 Metrocli = Callable[..., Ran]
@@ -134,7 +134,7 @@ def test_positions_are_not_estimated_beside_the_table_of_the_angle(
 def test_more_common_errors_than_are_estimated_together_are_refused(
     measured: tuple[sim.Mount, Path], metrocli: Metrocli, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(of_network, "_MOST", 9)
+    monkeypatch.setattr(standstill, "_MOST", 9)
     done = metrocli("calibrate-machine", measured[1])
     assert done.code == 3
     assert "errors in common, more than the 9 that are estimated together" in done.err

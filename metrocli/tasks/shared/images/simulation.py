@@ -23,7 +23,7 @@ from metrocli.instruments.camera import TARGET
 from metrocli.instruments.lenses.lens import direction, equidistant, ideal_point, image_point
 from metrocli.table import Table
 from metrocli.targets import drawings, render
-from metrocli.targets.codes import codes
+from metrocli.targets.coded_rings import codes
 from metrocli.targets.pattern import GRIDS, Pattern
 from metrocli.tasks.shared.images.adjustment import IMAGES
 from metrocli.tasks.shared.images.target_list import TargetCoordinates

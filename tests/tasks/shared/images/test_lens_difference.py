@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from metrocli.result import Result
 from metrocli.table import Table
-from metrocli.tasks.shared.images.lens_difference import lens_differences
+from metrocli.tasks.shared.images.calibrated import lens_differences
 
 SIZE = (1280, 960)
 LENS = {"f": 1100.0, "cx": 640.0, "cy": 480.0, "k1": -0.1}

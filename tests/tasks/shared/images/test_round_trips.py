@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from tasks.shared.images import small_jobs
 
-from metrocli.targets.codes import codes
+from metrocli.targets.coded_rings import codes
 
 Metrocli = Callable[..., Any]
 BOUND = 3.5
