@@ -11,7 +11,7 @@ from metrocli.adjust.datum import Datum
 from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.rounds import Aspect
-from metrocli.arrays import Array
+from metrocli.arrays import Array, Mask
 from metrocli.effects.effect import Effect
 from metrocli.frozen import dataclass
 
@@ -76,7 +76,12 @@ class Model:
 
     def with_group(self, group: Group) -> Model:
         """Return the model with this group in place of the group of the same name."""
-        return replace(self, groups=tuple(group if one.name == group.name else one for one in self.groups))
+        return replace(self, groups=tuple(group if other.name == group.name else other for other in self.groups))
+
+    def kept(self, keep: Mapping[str, Mask]) -> Model:
+        """Return the model with some of the readings of the groups that are named, (n,) each."""
+        groups = (group.selected(keep[group.name]) if group.name in keep else group for group in self.groups)
+        return replace(self, groups=tuple(groups))
 
     def with_blocks(self, blocks: Mapping[str, Block]) -> Model:
         """Return the model with other values of its blocks."""

@@ -8,6 +8,7 @@ from metrocli.adjust.model.chain import IDENTITY, LinkContext, Step, through
 from metrocli.adjust.model.quantities import OfBlock, Quantity
 from metrocli.arrays import Array
 from metrocli.frozen import dataclass
+from metrocli.instruments.axes.joints import times
 
 
 @dataclass(frozen=True)
@@ -37,7 +38,7 @@ class FromFrame(OfBlock):
         """Return `R X + d` (3, n), with derivatives R by the point, and (I, -[R X]x) by a step of the pose."""
         poses = local.members(self.block)
         rotation = local.spread(local.blocks[self.block].rotations, self.block)
-        turned = _times(rotation, value)
+        turned = times(rotation, value)
         moved = turned + local.spread(poses[:, :3], self.block)
         by_block = {self.block: _shift_and_turn(turned)} if self.block in local.wanted else {}
         return Step(moved, rotation, by_block)
@@ -58,14 +59,9 @@ class ToFrame(OfBlock):
         poses = local.members(self.block)
         inverse = local.spread(np.swapaxes(local.blocks[self.block].rotations, 1, 2), self.block)
         from_origin = value - local.spread(poses[:, :3], self.block)
-        moved = _times(inverse, from_origin)
+        moved = times(inverse, from_origin)
         by_block = {self.block: -through(inverse, _shift_and_turn(from_origin))} if self.block in local.wanted else {}
         return Step(moved, inverse, by_block)
-
-
-def _times(matrix: Array, vector: Array) -> Array:
-    """Return M v at each reading, (3, 3, n), (3, n) -> (3, n)."""
-    return np.stack([row[0] * vector[0] + row[1] * vector[1] + row[2] * vector[2] for row in matrix])
 
 
 def _shift_and_turn(vector: Array) -> Array:

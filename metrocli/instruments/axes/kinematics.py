@@ -214,21 +214,22 @@ def nominal_tip(machine: Machine, position: Array, vector: Array) -> tuple[Array
 
     The axes are the columns of (3, 3, n). `vector` are the tool vectors, (3, n) or (3, 1).
     """
-    n = position.shape[1]
-    none = np.zeros((ROWS, n))
-    places = {axis.location: np.zeros(3 if axis.location == SQUARENESS else 5) for axis in machine.axes}
-    motions = [axis.motion(own, none, places[axis.location]) for axis, own in zip(machine.axes, position, strict=True)]
-    carried = _carried(motions, [(axis, False) for axis in machine.order], np.broadcast_to(vector, (3, n)))
+    path, tip = [(axis, False) for axis in machine.order], np.broadcast_to(vector, (3, position.shape[1]))
+    carried = _carried(_without_errors(machine, position), path, tip)
     return carried.point, carried.rotation
 
 
 def seen_from_bed(machine: Machine, position: Array, place: Array, tool: bool) -> Array:
     """Return points (3, n) of the tool, or of the workpiece, as a machine without errors shows them to the bed."""
+    path = [(i, False) for i in _right(machine)] if tool else [(i, True) for i in reversed(_left(machine))]
+    return _carried(_without_errors(machine, position), path, place).point
+
+
+def _without_errors(machine: Machine, position: Array) -> list[JointMotion]:
+    """Return the motion of each axis at commanded positions (axes, n) without errors."""
     none = np.zeros((ROWS, position.shape[1]))
     places = {axis.location: np.zeros(3 if axis.location == SQUARENESS else 5) for axis in machine.axes}
-    motions = [axis.motion(own, none, places[axis.location]) for axis, own in zip(machine.axes, position, strict=True)]
-    path = [(i, False) for i in _right(machine)] if tool else [(i, True) for i in reversed(_left(machine))]
-    return _carried(motions, path, place).point
+    return [axis.motion(at, none, places[axis.location]) for axis, at in zip(machine.axes, position, strict=True)]
 
 
 def motion(machine: Machine) -> tuple[Link, ...]:

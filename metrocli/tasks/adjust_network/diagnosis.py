@@ -15,7 +15,6 @@ from metrocli.adjust.solution import Solution
 from metrocli.arrays import Array, Index, Mask
 from metrocli.diagnosis.adjusted_job import AdjustedJob, Delivered
 from metrocli.effects.covariates import Covariate
-from metrocli.effects.effect import ELAPSED, WARMING
 from metrocli.effects.estimates import free_blocks
 from metrocli.effects.extension import with_conditions
 from metrocli.effects.model import Model
@@ -26,9 +25,8 @@ from metrocli.tasks.adjust_network import KIND
 from metrocli.tasks.adjust_network.effects import EFFECTS, MOVED, NO_MIRROR, NO_TIMES, STEERING
 from metrocli.tasks.adjust_network.groups import BARS, GIVEN_POINTS, is_sighting
 from metrocli.tasks.adjust_network.solve import AdjustedNetwork, refitted
+from metrocli.tasks.shared.diagnosed import FOLDS, in_time
 from metrocli.tasks.shared.noise import POINTS_IN_TIME, NoiseFound, in_blocks, noise_found
-
-FOLDS = 10
 
 
 def adjusted_job(solved: AdjustedNetwork) -> AdjustedJob:
@@ -69,11 +67,7 @@ def _timed(model: Model) -> bool:
 def covariates(model: Model) -> Iterator[Covariate]:
     """Yield the quantities with which an unknown effect on sightings could vary."""
     groups = [group for group in model.readings if is_sighting(group)]
-    timed = [group for group in groups if ELAPSED in group.observations.conditions]
-    if groups and len(timed) == len(groups):
-        yield Covariate("t_s", {group.name: group.observations.conditions[ELAPSED] for group in groups}, 6)
-    if groups and all(WARMING in group.observations.conditions for group in groups):
-        yield Covariate("temp_degC", {group.name: group.observations.conditions[WARMING] for group in groups}, 6)
+    yield from in_time(groups, 6)
     seen = {group.name: _ideal(model, group) for group in groups}
     if seen:
         yield Covariate("azimuth", {name: values[AZIMUTH] for name, values in seen.items()}, 4, angle=True)

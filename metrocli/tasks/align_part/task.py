@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -28,13 +27,11 @@ from metrocli.tasks.job import Job, Task
 from metrocli.tasks.shared.images.adjustment import AdjustedImages, Options, adjust_images, must_converge
 from metrocli.tasks.shared.images.places import not_sought
 from metrocli.tasks.shared.images.settings import ESTIMATE
-from metrocli.tasks.shared.images.sightings import START_NOISE, Needs, sightings
+from metrocli.tasks.shared.images.sightings import Needs, sightings
 from metrocli.tasks.shared.images.simulation import (
-    Draw,
     SimulatedCamera,
     pictures,
     planted,
-    refuse_pictures,
     sightings_table,
     sights,
 )
@@ -158,7 +155,6 @@ def simulate(job: Job[Settings, Files], options: SimulationOptions) -> Simulatio
         for one, in_taper in zip(model.cameras, model.in_taper, strict=True)
         if one.images
     ]
-    sigma = settings.noise if isinstance(settings.noise, float) else START_NOISE
     seen = sights(shown)
     seen, values = planted(
         true_model(
@@ -170,11 +166,8 @@ def simulate(job: Job[Settings, Files], options: SimulationOptions) -> Simulatio
         seen,
         effects,
     )
-    table = sightings_table([replace(one, conditions={}) for one in shown], seen, sigma, rng)
-    drawn: Sequence[tuple[str, Draw]] = ()
-    if options.images and settings.pattern is not None:
-        refuse_pictures(effects)
-        drawn = pictures(shown, settings.pattern, rng)
+    table = sightings_table([replace(camera, conditions={}) for camera in shown], seen, settings.noise, rng)
+    drawn = pictures(shown, settings.pattern if options.images else None, rng, effects=effects)
     true = dict(zip(EULER, at.tolist(), strict=True)) | {"gamma_s": truth.clamping_angle}
     true |= {} if settings.part is None else {f"{EXPANSION}.scale": growth}
     return Simulation({"observations.csv": table}, true | values, drawn)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -40,13 +40,11 @@ from metrocli.tasks.shared.images.adjustment import AdjustedImages, Options, adj
 from metrocli.tasks.shared.images.camera_parameters import delivered
 from metrocli.tasks.shared.images.places import not_sought
 from metrocli.tasks.shared.images.settings import ESTIMATE, SPLINE
-from metrocli.tasks.shared.images.sightings import START_NOISE, Needs, sightings
+from metrocli.tasks.shared.images.sightings import Needs, sightings
 from metrocli.tasks.shared.images.simulation import (
-    Draw,
     SimulatedCamera,
     pictures,
     planted,
-    refuse_pictures,
     sightings_table,
     sights,
 )
@@ -181,14 +179,10 @@ def simulate(job: Job[Settings, Files], options: SimulationOptions) -> Simulatio
     lens = {"cx": (size[0] - 1) / 2, "cy": (size[1] - 1) / 2, **truth.lens.given()}
     times = conditions(truth, len(views.images))
     shown = SimulatedCamera(lens, size, views.images, views.to_camera, known, settings.camera.convention, times)
-    sigma = settings.noise if isinstance(settings.noise, float) else START_NOISE
     seen = sights([shown], views.only)
     seen, values = planted(true_model(settings.rig, shown, seen), seen, effects)
-    table = sightings_table([shown], seen, sigma, rng)
-    drawn: Sequence[tuple[str, Draw]] = ()
-    if options.images and settings.pattern is not None:
-        refuse_pictures(effects)
-        drawn = pictures([shown], settings.pattern, rng, views.only)
+    table = sightings_table([shown], seen, settings.noise, rng)
+    drawn = pictures([shown], settings.pattern if options.images else None, rng, views.only, effects)
     true = dict(lens)
     if truth.extrinsics is not None:
         true |= {name: float(getattr(truth.extrinsics, name)) for name in poses.EULER}

@@ -33,9 +33,9 @@ from metrocli.tasks.calibrate_machine import KIND
 from metrocli.tasks.calibrate_machine.effects import OF_BALLS, OF_LENGTHS, OF_LINES, OF_MACHINES
 from metrocli.tasks.calibrate_machine.problem import ALL_SIDES, ERROR_BLOCKS, PLACES_OF_AXES
 from metrocli.tasks.calibrate_machine.solve import AdjustedMachine, refitted
+from metrocli.tasks.shared.diagnosed import FOLDS, in_parts, of_beam
 from metrocli.tasks.shared.noise import POINTS_IN_TIME, NoiseFound, count, in_blocks, noise_found
 
-_FOLDS = 10
 _NO_STOPS = "the machine does not stop at the readings"
 _PIECES = "the readings are averages over pieces of the path longer than a pitch; a job may name it with its period"
 
@@ -47,11 +47,7 @@ def adjusted_job(solved: AdjustedMachine) -> AdjustedJob:
     group = model.readings[0]
 
     def refit(changed: Model, keep: Mapping[str, Mask]) -> Solution:
-        kept = [
-            changed_group.selected(keep[changed_group.name]) if changed_group.name in keep else changed_group
-            for changed_group in changed.groups
-        ]
-        return refitted(replace(problem, model=replace(changed, groups=tuple(kept))))
+        return refitted(replace(problem, model=changed.kept(keep)))
 
     return AdjustedJob(
         KIND.name,
@@ -141,11 +137,7 @@ def covariates(model: Model) -> Iterator[Covariate]:
         yield Covariate("temp_degC", {name: conditions[WARMING]}, 6)
     if TRACER in model.blocks:
         to = Chain(tuple(link for link in group.chain.links if isinstance(link, LINKS)))
-        beam = beams(to, model.blocks, group.observations)
-        length = np.linalg.norm(beam, axis=0)
-        yield Covariate("length_mm", {name: length}, 5)
-        yield Covariate("beam azimuth", {name: np.arctan2(beam[1], beam[0])}, 4, angle=True)
-        yield Covariate("beam elevation", {name: beam[2] / length}, 4)
+        yield from of_beam(group, beams(to, model.blocks, group.observations))
     if TRACKER in model.blocks:
         seen = poses.apply(poses.inverse(model.blocks[TRACKER].values[0]), position.T).T
         yield Covariate("distance from the tracker", {name: np.linalg.norm(seen, axis=0)}, 4)
@@ -157,10 +149,9 @@ def _parts(group: Group) -> Index:
     keys, conditions = group.observations.keys, group.observations.conditions
     if _condensed(group):
         legs = np.unique(np.array(keys["leg"], dtype=int), return_inverse=True)[1]
-        return np.asarray(legs % _FOLDS)
+        return np.asarray(legs % FOLDS)
     when: Array = conditions.get("t", np.arange(group.observations.count, dtype=float))
-    rank = np.argsort(np.argsort(when, kind="stable"), kind="stable")
-    return np.asarray(rank * _FOLDS // len(rank))
+    return in_parts(when, FOLDS)
 
 
 def noise_of(solved: AdjustedMachine, model: str, factor: float) -> NoiseFound:

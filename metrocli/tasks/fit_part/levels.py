@@ -11,6 +11,7 @@ from typing import Protocol
 
 import numpy as np
 
+from metrocli.adjust.medians import medians_of
 from metrocli.arrays import Array, Index, Mask
 from metrocli.frozen import dataclass
 from metrocli.tasks.fit_part.stock import Nominal, Stock
@@ -84,7 +85,7 @@ def robust_levels(
         if surface is None:
             stock = Stock(nominal, measured, nominal.nearest(stock.at(to_part).points, np.nan_to_num(level)))
         local = stock.at(to_part)
-        level = medians(local.overstock, stock.surface, count)
+        level = medians_of(local.overstock, stock.surface, count)
         # one level for all surfaces makes them even; levels of their own leave shifts between opposite surfaces open
         step, _ = robust_step(local.rows, local.overstock, np.zeros_like(stock.surface), 1)
         if np.abs(step).max() < _SMALLEST_STEP:
@@ -122,23 +123,12 @@ def robust_step(rows: Array, overstock: Array, surface: Index, count: int) -> tu
     return step, residuals
 
 
-def medians(values: Array, surface: Index, count: int) -> Array:
-    """Return the median of each surface (S,), nan without points."""
-    order = np.lexsort((values, surface))
-    sizes = np.bincount(surface, minlength=count)
-    first = np.cumsum(sizes) - sizes
-    sorted_values = values[order]
-    low = np.minimum(first + np.maximum(sizes - 1, 0) // 2, len(values) - 1)
-    high = np.minimum(first + sizes // 2, len(values) - 1)
-    return np.asarray(np.where(sizes > 0, (sorted_values[low] + sorted_values[high]) / 2, np.nan))
-
-
 def scatter_of(deviation: Array, surface: Index, count: int, sigma: Array) -> Array:
     """Return the scatter of each point: of its surface or of all points, whichever is larger, or of the measurement."""
     size = np.abs(deviation)
     of_all = _SIGMA_PER_MAD * float(np.median(size))
     of_surface = np.where(
-        np.bincount(surface, minlength=count) >= _LEAST_POINTS, _SIGMA_PER_MAD * medians(size, surface, count), 0.0
+        np.bincount(surface, minlength=count) >= _LEAST_POINTS, _SIGMA_PER_MAD * medians_of(size, surface, count), 0.0
     )
     # a nanometre: rounding of exact points is no outlier
     least = np.maximum(sigma, 1e-6)

@@ -7,12 +7,13 @@ from functools import cached_property
 
 import numpy as np
 
+from metrocli.adjust.medians import medians_of
 from metrocli.arrays import Array, Index, Mask
 from metrocli.frozen import dataclass
 from metrocli.geometry.nearest_triangles import Nearest, Search
 from metrocli.geometry.surfaces import Shape, Surfaces
 from metrocli.geometry.triangles import Triangles
-from metrocli.tasks.fit_part.levels import OUTLIER_LIMIT, medians, robust_step, scatter_of
+from metrocli.tasks.fit_part.levels import OUTLIER_LIMIT, robust_step, scatter_of
 from metrocli.tasks.fit_part.stock import Apart, Stock
 
 _ROUNDS = 20
@@ -37,7 +38,7 @@ def on_own_patches(stock: Stock, patches: Apart, to_part: Array) -> tuple[Stock,
             local = some.at(to_part)
             step, _ = robust_step(local.rows, local.overstock, some.surface, count)
             to_part = local.moved(to_part, step)
-        level = medians(some.at(to_part).overstock, some.surface, count)
+        level = medians_of(some.at(to_part).overstock, some.surface, count)
         surface = _of_nearest_level(some, patches, to_part, level)
         if np.array_equal(surface, some.surface):
             break

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -19,8 +19,7 @@ from metrocli.effects.model import Model
 from metrocli.tasks.fit_points import KIND
 from metrocli.tasks.fit_points.effects import EFFECTS, EXPANSION, SCALE
 from metrocli.tasks.fit_points.problem import POINT, POSE
-
-_FOLDS = 10
+from metrocli.tasks.shared.diagnosed import FOLDS
 
 
 def adjusted_job(model: Model) -> AdjustedJob:
@@ -32,7 +31,7 @@ def adjusted_job(model: Model) -> AdjustedJob:
         EFFECTS,
         covariates(ready),
         (),
-        {group.name: group.observations.index[POINT] % _FOLDS for group in ready.readings},
+        {group.name: group.observations.index[POINT] % FOLDS for group in ready.readings},
         Delivered("shift of the transformation", POSE, (0, 1, 2), "um", "length"),
         refitted,
         not_sought={EXPANSION: "`scale: true` estimates it"} if model.blocks[SCALE].free.any() else {},
@@ -48,11 +47,11 @@ def covariates(model: Model) -> tuple[Covariate, ...]:
 
 def refitted(model: Model, keep: Mapping[str, Mask]) -> Solution:
     """Return the adjustment of a model to some of the readings of each group; points that no group reads stay fixed."""
-    groups = [group.selected(keep[group.name]) if group.name in keep else group for group in model.groups]
+    groups = model.kept(keep).groups
     return adjust([_read(block, groups) for block in model.blocks.values()], groups, model.datum)
 
 
-def _read(block: Block, groups: list[Group]) -> Block:
+def _read(block: Block, groups: Sequence[Group]) -> Block:
     """Return the block of points without freedom of those that no reading needs; any other block as it is."""
     if block.name != POINT:
         return block

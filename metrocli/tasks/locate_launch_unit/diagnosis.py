@@ -25,11 +25,10 @@ from metrocli.table import Table
 from metrocli.tasks.locate_launch_unit import KIND
 from metrocli.tasks.locate_launch_unit.effects import EFFECTS
 from metrocli.tasks.locate_launch_unit.solve import Located
+from metrocli.tasks.shared.diagnosed import FOLDS, in_parts
 from metrocli.tasks.shared.noise import NoiseFound, noise_found
 from metrocli.tasks.shared.uncontrolled import SCALE, SCALE_WORDS, Hidden, table_of
 
-_FOLDS = 10
-"""Parts into which poses are divided for cross-validation"""
 _DEGREE, _FEWEST_FOR = 6, 4
 """Largest degree of polynomials in time; each term needs four poses"""
 
@@ -45,11 +44,11 @@ def adjusted_job(located: Located) -> AdjustedJob:
     model = with_conditions(replace(located.problem.model, blocks=located.solution.blocks, groups=groups))
 
     def refit(changed: Model, keep: Mapping[str, Mask]) -> Solution:
-        kept = [group.selected(keep[group.name]) if group.name in keep else group for group in changed.groups]
+        kept = changed.kept(keep).groups
         return adjust(changed.blocks.values(), [group for group in kept if group.observations.count])
 
     when, poses = located.readings.conditions.get("t"), len(located.readings.names)
-    parts = _parts(np.arange(poses, dtype=float) if when is None else when)
+    parts = in_parts(np.arange(poses, dtype=float) if when is None else when, min(FOLDS, poses))
     return AdjustedJob(
         KIND.name,
         model,
@@ -97,12 +96,6 @@ def _pose(group: Group) -> Index:
 def _beam(model: Model, group: Group) -> Array:
     place = model.blocks[lu.UNIT].values[0, :3]
     return np.ascontiguousarray((model.blocks[lu.RECEIVER].values[_pose(group)] - place).T)
-
-
-def _parts(when: Array) -> Index:
-    """Return the part of each pose, (n,): ten parts of about equal size, in order of time, each held out together."""
-    rank = np.argsort(np.argsort(when, kind="stable"), kind="stable")
-    return np.asarray(rank * min(_FOLDS, len(when)) // len(when))
 
 
 def noise_of(located: Located, model: str, factor: float) -> NoiseFound | None:

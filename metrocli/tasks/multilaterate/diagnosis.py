@@ -27,12 +27,11 @@ from metrocli.tasks.multilaterate import KIND
 from metrocli.tasks.multilaterate.effects import EFFECTS, RANGING
 from metrocli.tasks.multilaterate.problem import LENGTHS
 from metrocli.tasks.multilaterate.solve import AdjustedTracers, refitted
+from metrocli.tasks.shared.diagnosed import FOLDS, in_order, in_parts, of_beam
 from metrocli.tasks.shared.environment import blocks_of
 from metrocli.tasks.shared.noise import POINTS_IN_TIME, NoiseFound, count, in_blocks, noise_found
 from metrocli.units import parse_quantity
 
-FOLDS = 10
-"""Parts into which points are divided for cross-validation"""
 _CORNERS = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=float)
 _BEYOND = 0.2
 """Share of its size by which the box of offered points exceeds points and tracers on each side"""
@@ -69,35 +68,21 @@ def adjusted_job(solved: AdjustedTracers) -> AdjustedJob:
     )
 
 
-def covariates(model: Model) -> list[Covariate]:
-    """Return the quantities with which an unknown effect on lengths could vary."""
-    observations = model.readings[0].observations
-    conditions = observations.conditions
-    known = [
-        Covariate(name, {LENGTHS: conditions[key]}, 6)
-        for name, key in (("t_s", ELAPSED), ("temp_degC", WARMING))
-        if key in conditions
-    ]
-    if ELAPSED not in conditions:
-        known.append(Covariate("order of the readings", {LENGTHS: np.arange(observations.count, dtype=float)}, 6))
-    beam = t.beams(t.reach(), model.blocks, observations)
-    length = np.sqrt((beam**2).sum(axis=0))
-    known.append(Covariate("length_mm", {LENGTHS: length}, 5))
-    known.append(Covariate("beam azimuth", {LENGTHS: np.arctan2(beam[1], beam[0])}, 4, angle=True))
-    known.append(Covariate("beam elevation", {LENGTHS: beam[2] / length}, 4))
-    points = model.blocks[t.POINT].values[observations.index[t.POINT]].T
-    known.append(Covariate("place of the point", {LENGTHS: np.ascontiguousarray(points)}, 3))
-    return known
+def covariates(model: Model) -> Iterator[Covariate]:
+    """Yield the quantities with which an unknown effect on lengths could vary."""
+    group = model.readings[0]
+    yield from in_order(group)
+    yield from of_beam(group, t.beams(t.reach(), model.blocks, group.observations))
+    points = model.blocks[t.POINT].values[group.observations.index[t.POINT]].T
+    yield Covariate("place of the point", {LENGTHS: np.ascontiguousarray(points)}, 3)
 
 
 def folds(point: Index, conditions: Mapping[str, Array]) -> Index:
     """Return the part of each length, (n,): ten parts with about equal numbers of points, in order of time if given."""
-    points = np.unique(point)
+    number = np.unique(point, return_inverse=True)[1]
     when = conditions.get("t", np.arange(len(point), dtype=float))
-    mean = np.bincount(point, when) / np.maximum(np.bincount(point), 1)
-    rank = np.empty(len(mean), dtype=np.intp)
-    rank[points[np.argsort(mean[points], kind="stable")]] = np.arange(len(points))
-    return np.asarray(rank[point] * min(FOLDS, len(points)) // len(points))
+    mean = np.bincount(number, when) / np.bincount(number)
+    return in_parts(mean, min(FOLDS, len(mean)))[number]
 
 
 _CLOSING = 4
@@ -147,10 +132,7 @@ def _with_repeats(model: Model, rows: Index, later: float, warmer: float = 0.0) 
         last = float(old.conditions[WARMING][np.argmax(old.conditions.get(ELAPSED, np.zeros(1)))])
         conditions[WARMING] = np.full(len(rows), last + warmer)
     repeated = old.followed_by(replace(new, conditions=conditions))
-    groups = tuple(
-        replace(measured, observations=repeated) if measured is group else measured for measured in model.groups
-    )
-    return replace(model, groups=groups)
+    return model.with_group(group.with_observations(repeated))
 
 
 def _with_corners(model: Model) -> Model:

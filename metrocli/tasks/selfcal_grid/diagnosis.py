@@ -16,7 +16,7 @@ from metrocli.adjust.solution import Solution
 from metrocli.arrays import Array, Index, Mask
 from metrocli.diagnosis.adjusted_job import AdjustedJob, Delivered
 from metrocli.effects.covariates import Covariate
-from metrocli.effects.effect import ELAPSED, WARMING
+from metrocli.effects.effect import ELAPSED
 from metrocli.effects.extension import with_conditions
 from metrocli.effects.model import Model
 from metrocli.frozen import dataclass
@@ -25,9 +25,9 @@ from metrocli.tasks.selfcal_grid import KIND
 from metrocli.tasks.selfcal_grid.effects import EFFECTS
 from metrocli.tasks.selfcal_grid.problem import READINGS, GridProblem
 from metrocli.tasks.selfcal_grid.solve import AdjustedGrid
+from metrocli.tasks.shared.diagnosed import FOLDS, in_order
 from metrocli.tasks.shared.noise import Structured, count, in_blocks
 
-FOLDS = 10
 _FEWEST = 4
 """Least number of coordinates that an effect must change: an effect on one reading only is an outlier"""
 
@@ -59,13 +59,9 @@ def adjusted_job(solved: AdjustedGrid) -> AdjustedJob:
 
 def _covariates(model: Model) -> Iterator[Covariate]:
     """Yield the quantities that an unknown effect could vary with: time, temperature, place in the machine."""
-    observations = model.readings[0].observations
-    for name, key in (("t_s", ELAPSED), ("temp_degC", WARMING)):
-        if key in observations.conditions:
-            yield Covariate(name, {READINGS: observations.conditions[key]}, 6)
-    if ELAPSED not in observations.conditions:
-        yield Covariate("order of the readings", {READINGS: np.arange(observations.count, dtype=float)}, 6)
-    nominal: Array = model.readings[0].chain.predict(model.blocks, observations)
+    group = model.readings[0]
+    yield from in_order(group)
+    nominal: Array = group.chain.predict(model.blocks, group.observations)
     yield Covariate("place in the machine", {READINGS: np.ascontiguousarray(np.round(nominal, 1))}, 3)
 
 
@@ -85,11 +81,7 @@ def _forth_and_back(model: Model) -> Model:
     # `t + 2 (last - t)`: mirrored about the last reading of the view
     later = {name: old.conditions[name] + 2 * (last - time) for name in ("t", ELAPSED) if name in old.conditions}
     again = replace(old, conditions={**old.conditions, **later})
-    groups = tuple(
-        replace(measured, observations=old.followed_by(again)) if measured is group else measured
-        for measured in model.groups
-    )
-    return replace(model, groups=groups)
+    return model.with_group(group.with_observations(old.followed_by(again)))
 
 
 def _with_views(problem: GridProblem, model: Model) -> Model:
@@ -112,12 +104,8 @@ def _with_views(problem: GridProblem, model: Model) -> Model:
     mountings = model.blocks[bg.VIEW]
     block = bg.view_block(views, np.concatenate([mountings.values, np.zeros((2, 6))]))
     links = (bg.mounted(views, pitch) if isinstance(link, bg.Mounted) else link for link in group.chain.links)
-    observations = old.followed_by(changed)
-    groups = tuple(
-        replace(measured, chain=Chain(tuple(links)), observations=observations) if measured is group else measured
-        for measured in model.groups
-    )
-    return replace(model, blocks={**model.blocks, bg.VIEW: block}, groups=groups)
+    wider = replace(group, chain=Chain(tuple(links)), observations=old.followed_by(changed))
+    return model.with_group(wider).with_blocks({**model.blocks, bg.VIEW: block})
 
 
 def folds(ball: Index, view: Index) -> Index:

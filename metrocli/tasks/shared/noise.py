@@ -18,6 +18,7 @@ from metrocli.arrays import Array, Index
 from metrocli.frozen import dataclass
 from metrocli.result import Scalar
 from metrocli.settings import Choice, setting
+from metrocli.tasks.shared.diagnosed import in_parts
 
 NOISE_HELP = (
     "standard deviation of an image coordinate, or 'estimated' from the residuals, "
@@ -83,9 +84,7 @@ def in_blocks(order: Array) -> Index:
     # six: sixteen blocks gave intervals that hold 85 % of the truth, fewer leave too few degrees of freedom
     # (docs/algorithms/cluster-robust-covariance.md)
     count = min(_MOST_BLOCKS, max(len(order) // _LEAST_IN_BLOCK, 1))
-    # argsort twice is the rank: equal times keep the order of the file
-    rank = np.argsort(np.argsort(order, kind="stable"), kind="stable")
-    return np.asarray(rank * count // max(len(order), 1), dtype=np.intp)
+    return in_parts(order, count)
 
 
 def count(clusters: Index) -> int:

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from metrocli.adjust.medians import medians_of
 from metrocli.arrays import Array, Index
 from metrocli.errors import NotConvergedError, UndeterminedError
 from metrocli.frozen import dataclass
@@ -65,16 +66,7 @@ def known_turns(readings: NetworkReadings) -> Array:
 
 def medians(places: Array, point: Index, count: int) -> Array:
     """Return the median place of each point, nan where it has none, (count, 3)."""
-    counts = np.bincount(point, minlength=count)
-    begin = np.cumsum(counts) - counts
-    # sorted by point and value, the members of a point follow each other, so that counts give its middle ones
-    known = counts > 0
-    low, high = (begin + (counts - 1) // 2)[known], (begin + counts // 2)[known]
-    centres = np.full((count, 3), np.nan)
-    for axis in range(3):
-        ordered = places[np.lexsort((places[:, axis], point)), axis]
-        centres[known, axis] = (ordered[low] + ordered[high]) / 2
-    return centres
+    return np.stack([medians_of(coordinate, point, count) for coordinate in places.T], axis=1)
 
 
 def disagreement(readings: NetworkReadings, rough: NetworkStart) -> tuple[float, str]:

@@ -14,8 +14,7 @@ from metrocli.tasks.calibrate_camera.multi_camera.truth import CameraSimulation,
 from metrocli.tasks.calibrate_camera.settings import Files, OneOfSeveral, Settings
 from metrocli.tasks.calibrate_camera.simulation import conditions, simulated_targets, simulated_views
 from metrocli.tasks.job import Job
-from metrocli.tasks.shared.images.sightings import START_NOISE
-from metrocli.tasks.shared.images.simulation import Draw, SimulatedCamera, pictures, sightings_table, sights
+from metrocli.tasks.shared.images.simulation import SimulatedCamera, pictures, sightings_table, sights
 from metrocli.tasks.shared.lists import listed_places
 
 
@@ -50,15 +49,12 @@ def simulate(job: Job[Settings, Files], cameras: Mapping[str, OneOfSeveral], opt
         )
         for name, given in cameras.items()
     ]
-    sigma = settings.noise if isinstance(settings.noise, float) else START_NOISE
-    files = {"observations.csv": sightings_table(shown, sights(shown, views.only), sigma, rng)}
+    files = {"observations.csv": sightings_table(shown, sights(shown, views.only), settings.noise, rng)}
     if settings.rig == "network":
         files["true_points.csv"] = listed_places("point", known.names, known.points)
     elif job.files.targets is None:
         files["targets.csv"] = listed_places("target", known.names, known.points)
-    drawn: Sequence[tuple[str, Draw]] = ()
-    if options.images and settings.pattern is not None:
-        drawn = pictures(shown, settings.pattern, rng, views.only)
+    drawn = pictures(shown, settings.pattern if options.images else None, rng, views.only)
     return Simulation(files, _true_values(shown, truth), drawn)
 
 

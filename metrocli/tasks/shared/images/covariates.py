@@ -21,11 +21,10 @@ from metrocli.effects.effect import ELAPSED, WARMING
 from metrocli.effects.extension import with_conditions
 from metrocli.effects.model import Model
 from metrocli.instruments.camera import LENS, TARGET
+from metrocli.tasks.shared.diagnosed import FOLDS
 from metrocli.tasks.shared.images.adjustment import IMAGES, AdjustedImages
 
 PLACE = "place in the image"
-FOLDS = 10
-"""Parts of the readings that cross-validation holds out in turn, at most"""
 
 
 def at_solution(model: Model, adjusted: AdjustedImages) -> Model:
@@ -72,11 +71,9 @@ def folds(unit: Index) -> Mapping[str, Index]:
 
     `unit` is the image or the target of each reading. Units stay whole; parts are runs of about equally many units.
     """
-    units = np.unique(unit)
-    rank = np.zeros(int(unit.max()) + 1, dtype=np.intp)
-    rank[units] = np.arange(len(units))
+    units, rank = np.unique(unit, return_inverse=True)
     # runs, not every tenth one: images in a row resemble each other, and would predict each other too well
-    return {IMAGES: np.asarray(rank[unit] * min(FOLDS, len(units)) // len(units))}
+    return {IMAGES: np.asarray(rank * min(FOLDS, len(units)) // len(units))}
 
 
 def refit(datum: Datum | None) -> Callable[[Model, Mapping[str, Mask]], Solution]:
@@ -86,7 +83,7 @@ def refit(datum: Datum | None) -> Callable[[Model, Mapping[str, Mask]], Solution
     """
 
     def adjusted(model: Model, keep: Mapping[str, Mask]) -> Solution:
-        groups = [group.selected(keep[group.name]) if group.name in keep else group for group in model.groups]
+        groups = model.kept(keep).groups
         indices = [group.observations.index for group in groups]
         blocks = [_without_the_unread(block, indices) for block in model.blocks.values()]
         return adjust(blocks, groups, datum, StoppingRule())

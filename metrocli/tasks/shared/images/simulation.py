@@ -26,6 +26,7 @@ from metrocli.targets import drawings, render
 from metrocli.targets.coded_rings import codes
 from metrocli.targets.pattern import GRIDS, Pattern
 from metrocli.tasks.shared.images.adjustment import IMAGES
+from metrocli.tasks.shared.images.sightings import START_NOISE
 from metrocli.tasks.shared.images.target_list import TargetCoordinates
 from metrocli.tasks.shared.statistics import CONDITIONS
 
@@ -94,9 +95,10 @@ def sights(cameras: Sequence[SimulatedCamera], only: Callable[[int], list[int]] 
 
 
 def sightings_table(
-    cameras: Sequence[SimulatedCamera], seen: ExactImagePoints, sigma: float, rng: np.random.Generator
+    cameras: Sequence[SimulatedCamera], seen: ExactImagePoints, noise: float | str, rng: np.random.Generator
 ) -> Table:
-    """Return the table of observations with normal noise `sigma` [px] and the conditions of the images."""
+    """Return the table of observations with normal noise [px], 0.1 px if the job estimates it, and conditions."""
+    sigma = noise if isinstance(noise, float) else START_NOISE
     uv = seen.uv + rng.normal(0.0, sigma, seen.uv.T.shape).T
     targets = np.array(cameras[0].targets.names)
     names = {"image": np.array(all_images(cameras))[seen.view], "target": targets[seen.target]}
@@ -187,12 +189,6 @@ def planted(
     return replace(seen, uv=_image_points(model)), true_values(model)
 
 
-def refuse_pictures(effects: Sequence[RequestedEffect]) -> None:
-    """Raise UsageError if there are effects: they are planted in image points, not in rendered pictures."""
-    if effects:
-        raise UsageError("effects are planted in image points, not in pictures: leave out --images or --effect")
-
-
 def _image_points(model: Model) -> Array:
     """Return the readings that agree with their prediction, (2, n) px.
 
@@ -216,14 +212,20 @@ Draw = Callable[[], "Picture"]
 
 def pictures(
     cameras: Sequence[SimulatedCamera],
-    pattern: Pattern,
+    pattern: Pattern | None,
     rng: np.random.Generator,
     only: Callable[[int], list[int]] | None = None,
+    effects: Sequence[RequestedEffect] = (),
 ) -> list[tuple[str, Draw]]:
-    """Return the path of each image and a function that renders it; each image has a random seed of its own.
+    """Return the path of each image and a function that renders it; none without a pattern.
 
-    Raises InputError for a board that cannot be drawn.
+    Each image has a random seed of its own. Raises InputError for a board that cannot be drawn, and UsageError for
+    effects: they are planted in image points, not in pictures.
     """
+    if pattern is None:
+        return []
+    if effects:
+        raise UsageError("effects are planted in image points, not in pictures: leave out --images or --effect")
     drawn = []
     if pattern.type in GRIDS:
         drawings.board(pattern)

@@ -1,0 +1,45 @@
+"""What kinds of job share in the form that diagnosis needs: covariates, and the parts that are held out in turn."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from metrocli.adjust.model.groups import Group
+from metrocli.arrays import Array, Index
+from metrocli.effects.covariates import Covariate
+from metrocli.effects.effect import ELAPSED, WARMING
+
+FOLDS = 10
+"""Parts of the readings that cross-validation holds out in turn, at most"""
+
+
+def in_parts(order: Array, count: int) -> Index:
+    """Return the part (n,) of each of n measurements: runs in this order, of about equally many."""
+    # argsort twice is the rank: equal times keep the order of the file
+    rank = np.argsort(np.argsort(order, kind="stable"), kind="stable")
+    return np.asarray(rank * count // max(len(order), 1), dtype=np.intp)
+
+
+def in_time(groups: Sequence[Group], degree: int) -> Iterator[Covariate]:
+    """Yield time and temperature of the readings, as far as all groups have them."""
+    for name, condition in (("t_s", ELAPSED), ("temp_degC", WARMING)):
+        if groups and all(condition in group.observations.conditions for group in groups):
+            yield Covariate(name, {group.name: group.observations.conditions[condition] for group in groups}, degree)
+
+
+def in_order(group: Group) -> Iterator[Covariate]:
+    """Yield time and temperature of the readings, and their order where they have no times."""
+    yield from in_time([group], 6)
+    if ELAPSED not in group.observations.conditions:
+        order = np.arange(group.observations.count, dtype=float)
+        yield Covariate("order of the readings", {group.name: order}, 6)
+
+
+def of_beam(group: Group, beam: Array) -> Iterator[Covariate]:
+    """Yield length and direction of the beams (3, n) of lengths."""
+    length = np.sqrt((beam**2).sum(axis=0))
+    yield Covariate("length_mm", {group.name: length}, 5)
+    yield Covariate("beam azimuth", {group.name: np.arctan2(beam[1], beam[0])}, 4, angle=True)
+    yield Covariate("beam elevation", {group.name: beam[2] / length}, 4)
