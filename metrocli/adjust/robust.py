@@ -70,7 +70,7 @@ def robust_start(
     first = adjust(state.values(), held, datum, StoppingRule(limit=15, covariance=False))
     state = first.blocks
     # with one scale for all: a member that is lost as a whole hides behind its own
-    if first.outcome is Outcome.NO_START or max(_share(one, state).max(initial=0.0) for one in chosen) <= _GROSS:
+    if first.outcome is Outcome.NO_START or max(_share(group, state).max(initial=0.0) for group in chosen) <= _GROSS:
         return dict(state)
     share = shares()
     for turn in range(_ROUNDS):
@@ -78,7 +78,7 @@ def robust_start(
             break
         # least absolute deviations first: the biweight ignores what is far off, so it needs a start that is near
         weigh = _least_absolute if turn < _ROUNDS // 2 else _biweight
-        held = _reweighted(groups, {name: weigh(one) for name, one in share.items()})
+        held = _reweighted(groups, {name: weigh(of_group) for name, of_group in share.items()})
         control = StoppingRule(limit=8, covariance=False)
         near = control if turn == _ROUNDS - 1 else replace(control, tolerance=_NEAR)
         state = adjust(state.values(), held, datum, near).blocks
@@ -98,7 +98,7 @@ def _biweight(share: Array) -> Array:
 
 def _reweighted(groups: Sequence[Group], weights: Mapping[str, Array | None]) -> list[Group]:
     # not 0: a member whose readings all have no weight would make the normal matrix singular
-    kept = {name: None if one is None else np.maximum(one, 1e-12) for name, one in weights.items()}
+    kept = {name: None if factor is None else np.maximum(factor, 1e-12) for name, factor in weights.items()}
     return [replace(group, weights=kept[group.name]) if group.name in kept else group for group in groups]
 
 

@@ -82,7 +82,7 @@ def with_all(model: Model, requests: Iterable[RequestedEffect]) -> Model:
     if not stated:
         return model
     model, faults = with_conditions(model), list[Fault]()
-    known = {one.name: one for one in stated[0][2](model) if not one.together}
+    known = {covariate.name: covariate for covariate in stated[0][2](model) if not covariate.together}
     for number, (node, error, _) in enumerate(stated):
         twice = any(error == other for _, other, _ in stated[:number])
         own = [node.fault("correlated: the same error is listed twice", "leave one of them out")] if twice else []
@@ -151,7 +151,7 @@ def _stds(text: str, groups: Sequence[Group]) -> list[float] | None:
     """
     typical = [float(_typical(group)[0]) for group in groups]
     for name in units.DIMENSIONS:
-        of_unit = np.concatenate([one.observations.deviations_in(units.internal_unit(name)) for one in groups])
+        of_unit = np.concatenate([group.observations.deviations_in(units.internal_unit(name)) for group in groups])
         if len(of_unit):
             try:
                 size = units.parse_quantity(text, name)
@@ -180,7 +180,7 @@ def _with_group(model: Model, name: str, error: StatedCorrelation, basis: Array,
     conditions: Mapping[str, Array] = dict(zip(keys, basis * relative, strict=True))
     group = replace(group, observations=replace(observations, conditions={**observations.conditions, **conditions}))
     components, first = len(observations.readings), observations.unit_of_each[0]
-    dimension = next((one for one in units.DIMENSIONS if units.internal_unit(one) == first), "")
+    dimension = next((dimension for dimension in units.DIMENSIONS if units.internal_unit(dimension) == first), "")
     parameters = tuple(Parameter(f"c{j + 1}", dimension, std) for j in range(components * len(basis)))
     at, scales = group.chain.links[-1].gives, tuple((typical / typical[0]).tolist())
     effect = replace(

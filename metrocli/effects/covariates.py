@@ -103,7 +103,7 @@ def smooth_functions(
     along = (_AROUND,) if covariate.angle else _KNOTS.get(len(several[0]), _FEW_KNOTS)
     most, fewest = min(_MOST_COLUMNS, _MOST_NUMBERS // rows) // copies, min(map(_fewest, labels))
     dense = max(_ENOUGH, fewest // _READINGS)
-    count = next((one for one in along if one <= dense and one ** len(several[0]) <= most), 0)
+    count = next((knots for knots in along if knots <= dense and knots ** len(several[0]) <= most), 0)
     if count == 0 or fewest < _FEWEST or not lowest_and_spans(several, labels)[1].any():
         return None
     values, distances = around_circle(several, count) if covariate.angle else between_knots(several, labels, count)
@@ -159,7 +159,7 @@ def between_knots(several: Sequence[Array], labels: Sequence[Index], count: int)
             product = (product[:, :, None] * own[:, None]).reshape(len(own), -1)
             numbers = (numbers[:, :, None] * count + knots[:, None]).reshape(len(own), -1)
         functions.append((product, np.asarray(numbers)))
-    places = np.stack([one.ravel() for one in np.meshgrid(*[ends] * len(low), indexing="ij")], axis=1)
+    places = np.stack([coordinate.ravel() for coordinate in np.meshgrid(*[ends] * len(low), indexing="ij")], axis=1)
     return functions, np.asarray(np.linalg.norm(places[:, None] - places, axis=2))
 
 

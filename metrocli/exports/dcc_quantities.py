@@ -141,7 +141,7 @@ def add_table(to: ET.Element, result: Result, name: str, table: Table) -> None:
     """Add a table as a list of columns; the first one that places or names its rows is the index."""
     lacking = len(result.tables[name]) - len(table)
     remarks = [f"Not determined, so not certified: {lacking} of {len(result.tables[name])} rows."] if lacking else []
-    texts = [one for one in table if table.columns[one].dtype.kind == "U"]
+    texts = [column for column in table if table.columns[column].dtype.kind == "U"]
     index = next(iter([*_places(table), *texts]), None)
     held = _list(_result(to, name, *remarks), index)
     for key in texts:

@@ -23,5 +23,7 @@ def files(result: Result) -> Exported:
     if odd:
         raise InputError(f"names of targets have no blanks in this format: '{odd[0]}'")
     places = points.stacked("xyz").tolist()
-    rows = [f"{name} {' '.join(f'{one:.{_DIGITS}f}' for one in row)}" for name, row in zip(names, places, strict=True)]
+    rows = [
+        f"{name} {' '.join(f'{value:.{_DIGITS}f}' for value in row)}" for name, row in zip(names, places, strict=True)
+    ]
     return {"points.txt": "\n".join(["// target x y z, in mm", *rows, ""])}

@@ -151,9 +151,9 @@ def _quotients(letters: npt.NDArray[np.uint8]) -> tuple[Array, Mask]:
     digit *= is_digit
     behind = np.arange(len(columns), dtype=np.uint8)[::-1]
     digits, points, signs, used = (
-        one.sum(axis=0, dtype=np.uint8) for one in (is_digit, is_point, is_sign, columns > 0)
+        marks.sum(axis=0, dtype=np.uint8) for marks in (is_digit, is_point, is_sign, columns > 0)
     )
-    places, before = ((one * behind[:, None]).sum(axis=0, dtype=np.uint8) for one in (is_point, is_sign))
+    places, before = ((marks * behind[:, None]).sum(axis=0, dtype=np.uint8) for marks in (is_point, is_sign))
     sure = (digits + points + signs == used) & (digits > 0) & (digits <= _DIGITS) & (points < 2) & (signs < 2)
     sure &= (signs == 0) | (before + 1 == used)
     # the sums of digits of each half are below 2^53, and so exact

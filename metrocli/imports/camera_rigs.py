@@ -140,7 +140,7 @@ def _of_mrcal(parts: Mapping[str, CameraPart], rigs: TextLines | None) -> Stated
         turn = rotation_from_vector(np.array([float(number) for number in numbers[:3]]))
         found[name] = [*map(repr, turn.ravel().tolist()), *numbers[3:]]
     # cameras that were calibrated alone are all at the reference
-    return found if len({tuple(one or ()) for one in found.values()}) > 1 else {}
+    return found if len({tuple(names or ()) for names in found.values()}) > 1 else {}
 
 
 def _of_opencv(parts: Mapping[str, CameraPart], rigs: TextLines | None) -> Stated:

@@ -36,18 +36,18 @@ def files(lines: TextLines, wishes: ImportOptions) -> Imported:
     Raises InputError for what a file lacks, and for models that are not known here.
     """
     parts, rigs = dict[str, CameraPart](), None
-    for one in (lines, *wishes.others):
-        if is_rigs(one):
-            rigs = one
+    for file in (lines, *wishes.others):
+        if is_rigs(file):
+            rigs = file
             continue
-        read = _cameras(one)
+        read = _cameras(file)
         if not read:
             expected = f"expected a camera of {', '.join(PROGRAMS)}"
-            raise InputError([one.fault("this is no camera of another program", None, expected)])
+            raise InputError([file.fault("this is no camera of another program", None, expected)])
         if wishes.others and len(read) == 1:
-            read = {Path(one.file).stem: next(iter(read.values()))}
+            read = {Path(file.file).stem: next(iter(read.values()))}
         if twice := [name for name in read if name in parts]:
-            raise InputError([one.fault(f"another file has the camera {twice[0]} too", None, "name files distinctly")])
+            raise InputError([file.fault(f"another file has the camera {twice[0]} too", None, "name files distinctly")])
         parts |= read
     if not parts:
         raise InputError([lines.fault("this is where cameras are, but none of them", None, "give cameras.txt too")])
@@ -174,7 +174,7 @@ def _lens(camera: ReadCamera) -> list[str]:
     if camera.shape is not None:
         columns, rows = camera.shape.knots.counts
         shifts = (
-            f"  {name}: {one}" for name, one in zip(("du", "dv"), camera.shape.coefficients.tolist(), strict=True)
+            f"  {name}: {shift}" for name, shift in zip(("du", "dv"), camera.shape.coefficients.tolist(), strict=True)
         )
         lines += ["shape:", f"  knots: [{columns}, {rows}]", *shifts]
     return lines

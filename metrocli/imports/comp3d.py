@@ -88,13 +88,13 @@ def _observations(lines: TextLines) -> Imported:
             seen.append(
                 _Observed(number, code, ends, fields[3], float(fields[4]), float(relative), (heights[0], heights[1]))
             )
-    own = {one.ends: float(one.value) for one in seen if one.code in _DISTANCE}
+    own = {observed.ends: float(observed.value) for observed in seen if observed.code in _DISTANCE}
     away = {(to, begin): value for (begin, to), value in own.items()} | own
     network = _network(seen, away)
-    unknown = [one for one in seen if one.relative and one.ends not in away]
+    unknown = [observed for observed in seen if observed.relative and observed.ends not in away]
     hint = "write the standard deviation of this line in sigma, and 0 in sigma_rel"
     why = "sigma_rel multiplies a distance, and the file has none between these points"
-    faults += [lines.fault(why, one.line, hint) for one in unknown]
+    faults += [lines.fault(why, observed.line, hint) for observed in unknown]
     if faults:
         raise InputError(shortened(faults))
     return survey_of(lines, network, "comp3d", [f"{idle} deactivated observations are left out"] * bool(idle))
@@ -104,23 +104,31 @@ def _network(seen: list[_Observed], away: Mapping[tuple[str, str], float]) -> El
     """Return the observations as a network of GNU Gama; each round of angles begins a set."""
     network = Element("network", {"axes-xy": "en", "angles": "left-handed"})
     section = SubElement(network, "points-observations")
-    for name in dict.fromkeys(end for one in seen for end in one.ends):
+    for name in dict.fromkeys(end for observed in seen for end in observed.ends):
         SubElement(section, "point", {"id": name, "adj": "xyz"})
     sets: dict[str, Element] = {}
     lines = Element("height-differences")
-    for one in seen:
-        begin, to = one.ends
-        distance = away.get(one.ends, 1.0)
-        linear = one.code in (*_DISTANCE, _LEVELLED)
-        size = one.sigma + one.relative * distance if linear else one.sigma + _gon(one.relative / distance)
-        cells = {"to": to, "val": one.value, "stdev": f"{size * (_MM if linear else _CC):.10g}"}
-        if one.code == _LEVELLED:
+    for observed in seen:
+        begin, to = observed.ends
+        distance = away.get(observed.ends, 1.0)
+        linear = observed.code in (*_DISTANCE, _LEVELLED)
+        size = (
+            observed.sigma + observed.relative * distance
+            if linear
+            else observed.sigma + _gon(observed.relative / distance)
+        )
+        cells = {"to": to, "val": observed.value, "stdev": f"{size * (_MM if linear else _CC):.10g}"}
+        if observed.code == _LEVELLED:
             SubElement(lines, "dh", {"from": begin, **cells})
             continue
-        if begin not in sets or one.code == _ROUND:
+        if begin not in sets or observed.code == _ROUND:
             sets[begin] = SubElement(section, "obs", {"from": begin})
-        heights = {} if _TAGS[one.code] == "direction" else dict(zip(("from_dh", "to_dh"), one.heights, strict=True))
-        SubElement(sets[begin], _TAGS[one.code], cells | heights)
+        heights = (
+            {}
+            if _TAGS[observed.code] == "direction"
+            else dict(zip(("from_dh", "to_dh"), observed.heights, strict=True))
+        )
+        SubElement(sets[begin], _TAGS[observed.code], cells | heights)
     if len(lines):
         section.append(lines)
     return network

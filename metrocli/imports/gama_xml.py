@@ -144,7 +144,7 @@ class _NetworkSections:
         points, shots, heights = list[tuple[str, ...]](), list[_Shot](), list[tuple[str, ...]]()
         stations: list[tuple[str, ...]] = []
         sets = [element for section in self.network.iter("points-observations") for element in section.iter("obs")]
-        often = Counter(key[0] for one in sets for key in _setups(one))
+        often = Counter(key[0] for set_ in sets for key in _setups(set_))
         number: Counter[str] = Counter()
         for section in self.network.iter("points-observations"):
             for element in section:
@@ -210,7 +210,11 @@ class _NetworkSections:
         for number, observation in numbered:
             for name, target, height, cells in self._readings(section, observation, over, number):
                 seen = shots.setdefault(target, [])
-                fits = (one for one in seen if name not in one.cells and (name == "hz" or one.height == height))
+                fits = (
+                    sighting
+                    for sighting in seen
+                    if name not in sighting.cells and (name == "hz" or sighting.height == height)
+                )
                 shot = next(fits, None)
                 if shot is None:
                     shot = _Shot(station, target, height, {})

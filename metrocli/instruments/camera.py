@@ -74,7 +74,10 @@ def mount_block(values: Array, cameras: Sequence[str], distance: float) -> Block
 
 def lens_link(*conventions: str) -> Link:
     """Return the lens link of the convention of each camera, 'forward', 'backward' or 'fisheye'."""
-    links = [LensBackward(LENS) if one == "backward" else Lens(LENS, one == "fisheye") for one in conventions]
+    links = [
+        LensBackward(LENS) if convention == "backward" else Lens(LENS, convention == "fisheye")
+        for convention in conventions
+    ]
     return links[0] if len(set(conventions)) == 1 else LensOfEach(LENS, tuple(links), MOUNT)
 
 

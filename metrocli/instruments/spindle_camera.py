@@ -47,8 +47,8 @@ class Coupling(OfBlock):
 def _coupling_rotation(angle: Array) -> Array:
     """Return R_S' = [[c, -s, 0], [s, c, 0], [0, 0, 1]], (3, 3, n), of angles (n,)."""
     c, s = np.cos(angle), np.sin(angle)
-    zero, one = np.zeros_like(c), np.ones_like(c)
-    return np.array([[c, -s, zero], [s, c, zero], [zero, zero, one]])
+    zero, ones = np.zeros_like(c), np.ones_like(c)
+    return np.array([[c, -s, zero], [s, c, zero], [zero, zero, ones]])
 
 
 @dataclass(frozen=True)

@@ -26,12 +26,12 @@ def ends(canvas: Canvas) -> list[tuple[float, float, float]]:
         held.setdefault(spec.colspan.start - (axes.get_axes_locator() is not None), []).append(axes)
     if len(held) < 2:
         return whole
-    boxes = {k: [box for one in column if (box := one.get_tightbbox()) is not None] for k, column in held.items()}
+    boxes = {k: [box for axes in column if (box := axes.get_tightbbox()) is not None] for k, column in held.items()}
     if not all(boxes.values()):
         return whole
     each = [Bbox.union(boxes[column]) for column in sorted(boxes)]
-    if figure.legends or any(one.x1 >= other.x0 for one, other in pairwise(each)):
+    if figure.legends or any(box.x1 >= other.x0 for box, other in pairwise(each)):
         return whole
     point = 72 / figure.dpi
-    cuts = [0.0, *(point * (one.x1 + other.x0) / 2 for one, other in pairwise(each)), wide]
+    cuts = [0.0, *(point * (box.x1 + other.x0) / 2 for box, other in pairwise(each)), wide]
     return [(*cut, high - point * max(0.0, box.y0 - 4)) for cut, box in zip(pairwise(cuts), each, strict=True)]

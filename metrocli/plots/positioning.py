@@ -48,7 +48,7 @@ def data(result: Result, about: str) -> tuple[PositioningLine, ...] | None:
     lines = []
     for row in range(len(table)):
         key = [table.texts(name)[row] for name in ("axis", "at", "line")]
-        own = np.logical_and.reduce([column == one for column, one in zip(names, key, strict=True)])
+        own = np.logical_and.reduce([column == value for column, value in zip(names, key, strict=True)])
         turns = key[0] in _ROTARY
         size = _IN_UNIT[turns]
         position = np.degrees(targets.numbers("angle")) if turns else targets.numbers("position")

@@ -166,12 +166,13 @@ def image_residuals(result: Result) -> list[ImageResiduals]:
 def _of_cameras(result: Result, table: Table, rows: Index, values: list[Array]) -> Iterator[ImageResiduals]:
     cameras = stated_cameras(result)
     names, image = np.unique(table.columns["image"][rows].astype(str), return_inverse=True)
-    camera = exposures({one.name: one.images for one in cameras}, names.tolist()).camera[image]
-    for number, one in enumerate(cameras):
-        own = camera == number
-        places, vectors, w = (part[own] for part in values)
-        centre, size = (one.lens["cx"], one.lens["cy"]), (float(one.size[0]), float(one.size[1]))
-        yield ImageResiduals(table, rows[own], places, vectors, w, size, True, centre, one.name)
+    camera = exposures({camera.name: camera.images for camera in cameras}, names.tolist()).camera[image]
+    for number, calibrated in enumerate(cameras):
+        seen = camera == number
+        places, vectors, w = (part[seen] for part in values)
+        centre = calibrated.lens["cx"], calibrated.lens["cy"]
+        size = float(calibrated.size[0]), float(calibrated.size[1])
+        yield ImageResiduals(table, rows[seen], places, vectors, w, size, True, centre, calibrated.name)
 
 
 _VECTORS = ("reading", "residual", "normalised")

@@ -84,7 +84,7 @@ def _read(item: Input, folder: Path) -> tuple[Any, list[InputFile]]:
         return pictures, [_file(path, folder, digest, length, digest) for path, digest, length in read_as]
     if isinstance(item.value, Mapping):
         read = {name: _read_one(item.spec.value, path, item, folder) for name, path in item.value.items()}
-        return {name: one for name, (one, _) in read.items()}, [file for _, file in read.values()]
+        return {name: content for name, (content, _) in read.items()}, [file for _, file in read.values()]
     content, file = _read_one(item.spec, item.value, item, folder)
     return content, [file]
 

@@ -68,9 +68,9 @@ def load_project(place: Path, accept_doubtful: bool = False) -> tuple[ProjectSte
     listed = [entry for node in root.at("jobs").items for entry in _one_or_many(node, files, faults)]
     made = {absolute(output) for job in listed if (output := _peek_output(job)) is not None}
     jobs: dict[str, JobFile] = {}
-    for one in listed:
-        wishes = JobOptions(made=made, accept_doubtful=accept_doubtful, part=one.part, files=files)
-        _load_one(one, wishes, jobs, faults)
+    for step in listed:
+        wishes = JobOptions(made=made, accept_doubtful=accept_doubtful, part=step.part, files=files)
+        _load_one(step, wishes, jobs, faults)
     makers = _makers(listed, jobs, faults)
     if faults:
         raise InputError(faults)

@@ -120,7 +120,7 @@ def _points(results: Sequence[Result]) -> Iterator[RepeatedQuantity]:
     every = np.array([[place[name] for name in common] for place in places])
     at = every[:, :, :3]
     if not in_machine(results[0]):
-        at = np.array([poses.apply(poses.fit_pose(one, at[0]), one) for one in at])
+        at = np.array([poses.apply(poses.fit_pose(places, at[0]), places) for places in at])
     sigma = np.sqrt((at.std(axis=0, ddof=1) ** 2).mean(axis=0))
     std = np.sqrt((every[:, :, 3:] ** 2).mean(axis=(0, 1)))
     for k, axis in enumerate("xyz"):

@@ -50,7 +50,7 @@ def arrange(blocks: Mapping[str, Block], groups: Sequence[Group]) -> Layout:
     # tied members in the elimination would make D no longer block-diagonal
     apart = [(_alone(block, tied), block, tied) for block, tied in found if tied is not None]
     nothing = np.zeros((0, 0), dtype=bool), None, np.zeros(0, dtype=np.intp)
-    alone, eliminated, tied = max(apart, key=lambda one: int(one[0].sum()), default=nothing)
+    alone, eliminated, tied = max(apart, key=lambda candidate: int(candidate[0].sum()), default=nothing)
     if eliminated is None or not alone.any():
         return without_elimination(blocks)
     kept = {name: block for name, block in blocks.items() if block is not eliminated}

@@ -52,7 +52,7 @@ def of_diagnosis(diagnosis: Diagnosis, extended: Extended | None, full: bool = F
     parts += [list(_about_scatter(scatter)) for scatter in diagnosis.scatters]
     parts += [list(_about(finding)) for finding in findings[:_DESCRIBED]]
     if diagnosis.unconfirmed:
-        lost = ", ".join(f"{one.name} ({one.against})" for one in diagnosis.unconfirmed)
+        lost = ", ".join(f"{rejection.name} ({rejection.against})" for rejection in diagnosis.unconfirmed)
         parts.append([f"not confirmed by held-out readings, and not in the model: {lost}"])
     if diagnosis.separate_by:
         parts.append(["to distinguish them, measure:", *(f"  {words}" for words in diagnosis.separate_by)])

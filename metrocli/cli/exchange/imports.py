@@ -78,14 +78,14 @@ def command(
         must_be_read(lines)
         echo(proposed(lines))
         return 0
-    others = tuple(TextLines(str(one), _text(one, root).split("\n")) for one in files[1:])
+    others = tuple(TextLines(str(path), _text(path, root).split("\n")) for path in files[1:])
     texts = imported(form, lines, ImportOptions(root, unit, others))
     folder = file.parent if out is None else out
     for name in texts:
-        for one in files:
-            if inside(folder, name).resolve() == one.resolve():
+        for path in files:
+            if inside(folder, name).resolve() == path.resolve():
                 hint = "give a folder: --out DIR"
-                raise InputError([Fault(f"would overwrite {one}, the file it reads", str(one), hint=hint)])
+                raise InputError([Fault(f"would overwrite {path}, the file it reads", str(path), hint=hint)])
     written = list(write_all({inside(folder, name): text.encode() for name, text in texts.items()}, force))
     console = Console(quiet)
     for name, text in texts.items():

@@ -67,7 +67,7 @@ def _lenses(first: Result, second: Result) -> dict[str, dict[str, float]]:
         return {}
     from metrocli.tasks.shared.images.calibrated import lens_differences
 
-    sizes = ((one.name, one.rms, *one.largest) for one in lens_differences(first, second))
+    sizes = ((camera.name, camera.rms, *camera.largest) for camera in lens_differences(first, second))
     return {name or "camera": {"rms": rms, "largest": worst, "u": u, "v": v} for name, rms, worst, u, v in sizes}
 
 

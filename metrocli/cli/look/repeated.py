@@ -62,8 +62,8 @@ def _figures_of_series(
         }
         drift.setdefault(compared.group, {})[compared.name] = row
     pooled = [
-        {"group": one.group, "unit": one.unit, "std": one.std, "expected": one.expected, "dof": one.dof}
-        for one in repeats.pooled
+        {"group": pooled.group, "unit": pooled.unit, "std": pooled.std, "expected": pooled.expected, "dof": pooled.dof}
+        for pooled in repeats.pooled
     ]
     calibrations = [
         {"file": str(file), "time": at, "max_en": en}

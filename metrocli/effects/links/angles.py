@@ -117,7 +117,7 @@ class OnPoint:
         before, _ = cartesian(seen)
         after, back = cartesian(moved.value)
         by_input = through(through(back, np.asarray(moved.by_input)), to_polar)
-        by_block = {name: through(back, one) for name, one in moved.by_block.items()}
+        by_block = {name: through(back, by_unknowns) for name, by_unknowns in moved.by_block.items()}
         # as a difference the effect adds exactly nothing where its parameters are 0
         return Step(value + (after - before), by_input, by_block)
 

@@ -96,7 +96,7 @@ def _first_without(expression: Expression, used: Sequence[str], values: Mapping[
     low, high = 0, count
     while high - low > 1:
         middle = (low + high) // 2
-        part = {name: one[low:middle] if np.shape(one) == (count,) else one for name, one in values.items()}
+        part = {name: given[low:middle] if np.shape(given) == (count,) else given for name, given in values.items()}
         try:
             expression.carried_out(Jets(expression, used, part, order=1))
         except NoValueError:

@@ -106,7 +106,7 @@ def turn(axis: int, angle: Array, errors: Array, location: Array, place: tuple[A
 def turned(angles: Array) -> tuple[Array, Array]:
     """Return `Rz(c) Ry(b) Rx(a)` of angles (a, b, c), (3, n) -> (3, 3, n), and the axes of each angle as columns."""
     (ca, cb, cc), (sa, sb, sc) = np.cos(angles), np.sin(angles)
-    zero, one = np.zeros_like(ca), np.ones_like(ca)
+    zero, ones = np.zeros_like(ca), np.ones_like(ca)
     rotation = np.array(
         [
             [cc * cb, cc * sb * sa - sc * ca, cc * sb * ca + sc * sa],
@@ -114,7 +114,7 @@ def turned(angles: Array) -> tuple[Array, Array]:
             [-sb, cb * sa, cb * ca],
         ]
     )
-    return rotation, np.array([[cc * cb, -sc, zero], [sc * cb, cc, zero], [-sb, zero, one]])
+    return rotation, np.array([[cc * cb, -sc, zero], [sc * cb, cc, zero], [-sb, zero, ones]])
 
 
 def about_axis(axis: int, angle: Array) -> Array:

@@ -197,7 +197,7 @@ class TipMotion(_OfMachine):
         # the actual axes of the tool against the nominal ones, so that errors alone are left
         turn = through(through(carried.rotation, by_tool), np.swapaxes(axes, 0, 1))
         angles = vector_from_rotation(np.moveaxis(turn, -1, 0)).T
-        changes = {axis: np.concatenate([one, carried.turns[axis]]) for axis, one in carried.changes.items()}
+        changes = {axis: np.concatenate([change, carried.turns[axis]]) for axis, change in carried.changes.items()}
         found = self.derivatives(value, local, changes)
         n, about = tip.shape[1], turned(local.members(SPINDLE)[0][:, None])[1]
         by_block = {

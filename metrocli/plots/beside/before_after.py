@@ -115,7 +115,7 @@ def draw(canvas: Canvas, pair: BeforeAfter) -> str:
     panels = canvas.axes(2, 1, sharex=True, sharey=True)
     for axes, panel in zip(panels, (pair.before, pair.after), strict=True):
         draw_panel(axes, panel, canvas.theme)
-    room = max(one.room for one in (pair.before, pair.after))
+    room = max(residuals.room for residuals in (pair.before, pair.after))
     panels[0].set_ylim(-room, room)
     panels[1].set_xlabel(LABELS[pair.about])
     panels[0].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3)

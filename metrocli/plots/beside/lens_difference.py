@@ -25,28 +25,28 @@ def data(result: Result, beside: Beside) -> Shown | None:
 
 def height(shown: Shown) -> float:
     """Return the height of the figure in inches."""
-    return sum(min(5.6 * one.size[1] / one.size[0] + 0.7, 6.0) for one in shown) + 0.2
+    return sum(min(5.6 * difference.size[1] / difference.size[0] + 0.7, 6.0) for difference in shown) + 0.2
 
 
 def draw(canvas: Canvas, shown: Shown) -> str:
     """Draw the figure and return its caption."""
-    largest = max(_NOTHING, *(one.largest[0] for one in shown))
+    largest = max(_NOTHING, *(difference.largest[0] for difference in shown))
     factor = magnification(largest, _SHARE * shown[0].size[0])
-    for axes, one in zip(canvas.axes(len(shown)), shown, strict=True):
+    for axes, difference in zip(canvas.axes(len(shown)), shown, strict=True):
         axes.set_aspect("equal")
-        known = np.isfinite(one.change).all(axis=0)
-        arrows(axes, one.uv[:, known].T, factor * one.change[:, known].T, canvas.theme.first)
-        axes.set_xlim(-0.5, one.size[0] - 0.5)
-        axes.set_ylim(one.size[1] - 0.5, -0.5)
+        known = np.isfinite(difference.change).all(axis=0)
+        arrows(axes, difference.uv[:, known].T, factor * difference.change[:, known].T, canvas.theme.first)
+        axes.set_xlim(-0.5, difference.size[0] - 0.5)
+        axes.set_ylim(difference.size[1] - 0.5, -0.5)
         axes.set_xlabel("u (px)")
         axes.set_ylabel("v (px)")
-        axes.set_title(one.name)
-    each = "; ".join(in_text(one) for one in shown)
+        axes.set_title(difference.name)
+    each = "; ".join(in_text(difference) for difference in shown)
     return f"Image points of this camera less those of the other one, magnified {in_words(factor)}: {each}."
 
 
-def in_text(one: LensDifference) -> str:
+def in_text(difference: LensDifference) -> str:
     """Return the size of a difference, in words."""
-    largest, u, v = one.largest
-    name = f"{one.name}: " if one.name else ""
-    return f"{name}rms {one.rms:.2g} px, largest {largest:.2g} px at ({u:.0f}, {v:.0f})"
+    largest, u, v = difference.largest
+    name = f"{difference.name}: " if difference.name else ""
+    return f"{name}rms {difference.rms:.2g} px, largest {largest:.2g} px at ({u:.0f}, {v:.0f})"

@@ -44,10 +44,10 @@ def cameras_of(result: Result) -> list[PlottedPoints]:
         return [*board, PlottedPoints("cameras", tuple(images), placed[:, :3])]
     of = np.arange(len(images)) if rig == "cmm" else np.zeros(len(images), dtype=np.intp)
     if len(cameras) > 1 and rig != "cmm":
-        of = exposures({one.name: one.images for one in cameras}, images).camera
+        of = exposures({camera.name: camera.images for camera in cameras}, images).camera
     size *= min(1.0, (_ROOMY / len(images)) ** (1 / 3))
-    lines = _pyramids(placed, np.stack([_corners(one) for one in cameras])[of] * size)
-    each = [(one.name, of == k) for k, one in enumerate(cameras)] if 1 < len(cameras) <= _NAMED else []
+    lines = _pyramids(placed, np.stack([_corners(camera) for camera in cameras])[of] * size)
+    each = [(camera.name, of == k) for k, camera in enumerate(cameras)] if 1 < len(cameras) <= _NAMED else []
     worst = np.zeros(len(images)) if rig == "cmm" else _rms(result, images)
     few = len(images) <= _LABELLED
     drawn = [
@@ -85,7 +85,7 @@ def _beams(result: Result, images: list[str], eyes: Array, standing: Sequence[St
     eye_of = {image: k for k, image in enumerate(images)}
     if standing:
         names = list(dict.fromkeys(image for image, _ in pairs))
-        of = exposures({one.name: one.images for one in standing}, names).camera.tolist()
+        of = exposures({camera.name: camera.images for camera in standing}, names).camera.tolist()
         eye_of = dict(zip(names, of, strict=True))
     known = [(eye_of[image], row_of[target]) for image, target in pairs if image in eye_of and target in row_of]
     if not known:
@@ -122,8 +122,8 @@ def _standing(result: Result, cameras: list[StatedCamera]) -> tuple[list[str], A
         return [], np.zeros((0, 6))
     listed = np.array([known[key] for key in keys])
     taper = poses.pose_from_euler(listed[:3], listed[3:])
-    placed = [taper if one.pose is None else poses.compose(taper, one.pose) for one in cameras]
-    return [one.name or "camera" for one in cameras], np.stack(placed)
+    placed = [taper if camera.pose is None else poses.compose(taper, camera.pose) for camera in cameras]
+    return [camera.name or "camera" for camera in cameras], np.stack(placed)
 
 
 def _board(targets: Table | None, kind: str) -> list[PlottedPoints]:

@@ -34,7 +34,7 @@ class ImageCoverage:
 def data(result: Result, about: str) -> tuple[ImageCoverage, ...] | None:
     """Return the number of readings in ten by ten cells of the image of each camera; None if a size is not known."""
     each = image_residuals(result)
-    return tuple(map(_counted, each)) if each and all(one.whole for one in each) else None
+    return tuple(map(_counted, each)) if each and all(coverage.whole for coverage in each) else None
 
 
 def _counted(residuals: ImageResiduals) -> ImageCoverage:
@@ -45,17 +45,19 @@ def _counted(residuals: ImageResiduals) -> ImageCoverage:
 
 def height(shown: tuple[ImageCoverage, ...]) -> float:
     """Return the height of the figure in inches."""
-    return images_height([(float(np.ptp(one.x_edges)), float(np.ptp(one.y_edges))) for one in shown])
+    return images_height([(float(np.ptp(coverage.x_edges)), float(np.ptp(coverage.y_edges))) for coverage in shown])
 
 
 def draw(canvas: Canvas, shown: tuple[ImageCoverage, ...]) -> str:
     """Draw the figure and return its caption."""
-    for axes, coverage in zip(canvas.images([one.camera for one in shown]), shown, strict=True):
+    for axes, coverage in zip(canvas.images([coverage.camera for coverage in shown]), shown, strict=True):
         _draw(axes, coverage, canvas, 7 if len(shown) == 1 and coverage.counts.max() < 1000 else 5.6)
-    filled = " and ".join(f"{100 * one.filled:.0f} %" for one in shown)
-    beyond = " The lens is extrapolated where there are no readings." if min(one.filled for one in shown) < 1 else ""
+    shares = [coverage.filled for coverage in shown]
+    filled, count = " and ".join(f"{100 * share:.0f} %" for share in shares), sum(cells.counts.sum() for cells in shown)
+    beyond = " The lens is extrapolated where there are no readings." if min(shares) < 1 else ""
+    return f"Readings in each cell, {count:.0f} together; {filled} of the cells have at least one.{beyond}"
     return (
-        f"Readings in each cell, {sum(one.counts.sum() for one in shown):.0f} together; {filled} of the cells have "
+        f"Readings in each cell, {sum(coverage.counts.sum() for coverage in shown):.0f} together; {filled} of the cells have "
         f"at least one.{beyond}"
     )
 

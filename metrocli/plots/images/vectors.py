@@ -90,14 +90,14 @@ def draw(canvas: Canvas, shown: tuple[Vectors, ...]) -> str:
                 arrows(axes, field.places[chosen], field.vectors[chosen] * field.magnification, colour)
     if not first.camera:
         _draw_scale(panels[0], first, theme)
-    field = max(shown, key=lambda one: one.longest)
+    field = max(shown, key=lambda vectors: vectors.longest)
     text = (
         f"Reading minus model, magnified {in_words(field.magnification)}. Longest: {field.longest:.3g} px at "
-        f"{field.worst_name}. {sum(int(one.beyond.sum()) for one in shown)} vectors (orange) exceed what noise "
+        f"{field.worst_name}. {sum(int(vectors.beyond.sum()) for vectors in shown)} vectors (orange) exceed what noise "
         "reaches in 5 % of cases."
     )
     kept = "the longest of each cell of the image"
-    counts = sum(len(one.places) for one in shown), sum(one.readings for one in shown)
+    counts = sum(len(vectors.places) for vectors in shown), sum(vectors.readings for vectors in shown)
     return " ".join(filter(None, [text, words(*counts, kept)]))
 
 

@@ -54,7 +54,7 @@ def _points(files: Files) -> tuple[tuple[str, ...], Array, Array]:
     columns += [(files.heights, "from"), (files.heights, "to"), (files.stations, "over")]
     known = set(names)
     every = [table.texts(column) for table, column in columns if table is not None and column in table]
-    more = [name for name in dict.fromkeys(name for one in every for name in one) if name and name not in known]
+    more = [name for name in dict.fromkeys(name for names in every for name in names) if name and name not in known]
     unknown = np.full((len(more), 3), np.nan)
     return (*names, *more), np.concatenate([place, unknown]), np.concatenate([sigma, unknown])
 

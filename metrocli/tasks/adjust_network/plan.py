@@ -180,7 +180,7 @@ def _further(
         if best is None:
             break
         files = best[2]
-        at = ", ".join(f"{one:.0f}" for one in best[1])
+        at = ", ".join(f"{coordinate:.0f}" for coordinate in best[1])
         lines.append(f"a further station at ({at}) mm: {wish.aim} {roughly(best[0], 'um')}")
     return lines, Table.of_rows(("station [text]", "x [mm]", "y [mm]", "z [mm]", "worth"), rows)
 

@@ -156,7 +156,7 @@ def simulated(
         (HEIGHTS, files.heights, "dh"),
     ):
         if table is not None and name in read_:
-            kept = {key: one for key, one in table.columns.items() if key != column}
+            kept = {key: values for key, values in table.columns.items() if key != column}
             tables[f"{name}.csv"] = replace(table, columns={**kept, column: read_[name][0]}, units={**table.units})
     names, places = readings.points.names, readings.points.listed
     listed_at = places + rng.normal(0.0, 1.0, places.shape) * truth.point_error

@@ -200,10 +200,10 @@ def camera_of_file(file: CameraFile, more: OfCameraFile) -> CameraModel:
     cameras, entries = list[StatedCamera](), list[tuple[str, str]]()
     each: Mapping[str, CalibratedLens] = file.cameras or {"": file}
     # the lenses of several cameras share their parameters
-    apart = any(one.fx is not None for one in each.values())
-    for name, one in each.items():
-        width, height = one.image_size
-        given = {"cx": (width - 1) / 2, "cy": (height - 1) / 2, **one.given()}
+    apart = any(camera.fx is not None for camera in each.values())
+    for name, camera in each.items():
+        width, height = camera.image_size
+        given = {"cx": (width - 1) / 2, "cy": (height - 1) / 2, **camera.given()}
         if apart and "f" in given:
             given["fx"], given["fy"] = focal(given)
             del given["f"]
@@ -212,10 +212,10 @@ def camera_of_file(file: CameraFile, more: OfCameraFile) -> CameraModel:
             raise InputError(f"camera: uncertainty: the camera file has no {' '.join(strange)}")
         lens = {key: lens.get(key, 0.0) for key in PARAMETERS if key in lens or key in std}
         entries += [(name, key) for key in (*lens, *(() if cameras else poses.EULER)) if key in std]
-        pose = _pose(one.pose) if isinstance(one, CameraOfRig) and one.pose else None
-        shape = None if one.shape is None else _shape(one.image_size, one.shape)
+        pose = _pose(camera.pose) if isinstance(camera, CameraOfRig) and camera.pose else None
+        shape = None if camera.shape is None else _shape(camera.image_size, camera.shape)
         images = "" if name else "*"
-        cameras.append(StatedCamera(name, lens, one.convention, one.image_size, images, pose, shape))
+        cameras.append(StatedCamera(name, lens, camera.convention, camera.image_size, images, pose, shape))
     ordered = [std[key] for _, key in entries]
     exact = (
         f"the camera file of {file.program} states no covariance: it counts as exact; "

@@ -142,18 +142,18 @@ def simulate(job: Job[Settings, Files], options: SimulationOptions) -> Simulatio
     times = {name: values[rows] for name, values in poses.conditions("t", "temp").items()}
     shown = [
         SimulatedCamera(
-            one.lens,
-            one.size,
-            tuple(one.images.replace("*", exposure) for exposure in exposures),
+            camera.lens,
+            camera.size,
+            tuple(camera.images.replace("*", exposure) for exposure in exposures),
             part_in_camera(part, spindle_poses, truth.clamping_angle, in_taper),
             known,
-            one.convention,
+            camera.convention,
             times,
-            one.name,
-            one.shape,
+            camera.name,
+            camera.shape,
         )
-        for one, in_taper in zip(model.cameras, model.in_taper, strict=True)
-        if one.images
+        for camera, in_taper in zip(model.cameras, model.in_taper, strict=True)
+        if camera.images
     ]
     seen = sights(shown)
     seen, values = planted(

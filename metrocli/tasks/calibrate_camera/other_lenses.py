@@ -76,11 +76,13 @@ def other_settings_of_several(
     """Yield the model fisheye for the cameras whose readings alone show one, each as `other_settings`."""
     old = job.settings.cameras or {}
     new = {
-        name: _fisheye(old[name]) for name, one in problems.items() if _is_fisheye(one, old[name], job.settings.noise)
+        name: _fisheye(old[name])
+        for name, problem in problems.items()
+        if _is_fisheye(problem, old[name], job.settings.noise)
     }
     if new:
         words = f"the lens of {in_a_row(list(new))} is a fisheye"
-        each = (_entries(f"cameras.{name}", old[name], one) for name, one in new.items())
+        each = (_entries(f"cameras.{name}", old[name], settings) for name, settings in new.items())
         entries = {key: text for own in each for key, text in own.items()}
         write = f"model: fisheye in cameras: {in_a_row(list(new))}"
         changed = replace(job.settings, cameras={**old, **new})

@@ -251,8 +251,8 @@ class Settings:
         if list(truth or {}) != names:
             yield "simulation.cameras", f"the truth is that of {', '.join(names) or 'a single camera: write lens'}"
             return
-        for number, (name, one) in enumerate((truth or {}).items()):
-            if (one.extrinsics is None) is (number > 0):
+        for number, (name, true_camera) in enumerate((truth or {}).items()):
+            if (true_camera.extrinsics is None) is (number > 0):
                 where = (
                     "needs extrinsics, its place in the frame of the first"
                     if number

@@ -95,8 +95,8 @@ def with_lengths(
 def _must_be_near(tables: Sequence[tuple[Table, Index]], places: TargetCoordinates) -> None:
     """Raise InputError that names every length which differs from its distance in the list by far."""
     faults = []
-    for table, (one, other) in tables:
-        listed = np.linalg.norm(places.points[other] - places.points[one], axis=1)
+    for table, (first, other) in tables:
+        listed = np.linalg.norm(places.points[other] - places.points[first], axis=1)
         known = table.numbers("length")
         faults += table.faults_at(
             np.flatnonzero(np.abs(listed - known) > _ROUGH * known),

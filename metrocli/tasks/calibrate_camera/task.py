@@ -86,7 +86,7 @@ def other_settings(job: Job[Settings, Files], fits: bool) -> Iterator[tuple[Mist
         yield from as_several(job)
     each: list[CameraSettings] = [settings.camera] if settings.cameras is None else [*settings.cameras.values()]
     known = fits and isinstance(settings.noise, float)
-    if known or not any(one.convention == "forward" and one.model != SPLINE for one in each):
+    if known or not any(camera.convention == "forward" and camera.model != SPLINE for camera in each):
         return
     if settings.cameras is None:
         yield from other_lenses.other_settings(job, prepared(job)[1])

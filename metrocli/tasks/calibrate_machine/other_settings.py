@@ -139,8 +139,8 @@ def _turned(machine: MachineSettings) -> Iterator[_Other]:
                 "machine.tools", f"{axis} of {name} has the wrong sign", f"{axis} of {name} with the other sign"
             )
             yield mistake, replace(machine, tools={**tools, name: turned})
-    for one, other in combinations(tools, 2) if machine.turns else ():
-        words, names = f"the tools {one} and {other} are under each other's names", {one: other, other: one}
+    for first, other in combinations(tools, 2) if machine.turns else ():
+        words, names = f"the tools {first} and {other} are under each other's names", {first: other, other: first}
         vectors = {name: tools[names.get(name, name)] for name in tools}
-        mistake = Mistake("machine.tools", words, f"the vector of {one} for {other}, and that of {other} for {one}")
+        mistake = Mistake("machine.tools", words, f"the vector of {first} for {other}, and that of {other} for {first}")
         yield mistake, replace(machine, tools=vectors)

@@ -59,7 +59,7 @@ def contradictions(stock: Stock, minimum: float, to_part: Array) -> list[Contrad
     without = tuple(_least(stock, others, to_part, begun)[0] for others in left_out)
     sets = [replace(first, points=tuple(rows[list(first.points)].tolist()), without=without)]
     while len(sets) < _SETS:
-        named = {name for one in sets for name in one.surfaces}
+        named = {name for contradiction in sets for name in contradiction.surfaces}
         others = ~np.isin(stock.surface, [stock.nominal.names.index(name) for name in named])
         if not others.any():
             break

@@ -104,7 +104,7 @@ def must_be_of_one_size(mesh: Triangles, points: Array, unit: str) -> None:
     if not causes and of_points > _LARGER * of_mesh:
         causes = ["expected points on the part: check `nominal_unit`, and name coded targets in `targets`"]
     if causes:
-        of_part, measured = (" x ".join(f"{value:.4g}" for value in one) for one in (span / SIZES[unit], reach))
+        of_part, measured = (" x ".join(f"{value:.4g}" for value in sides) for sides in (span / SIZES[unit], reach))
         raise InputError(
             f"the mesh of the ideal part spans {of_part} {unit}, the measured points {measured} mm: "
             + "; or ".join(causes)

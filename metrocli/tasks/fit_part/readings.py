@@ -89,7 +89,7 @@ def read(settings: Settings, points: Table | Result, names: tuple[str, ...], of_
     elif named.any() and not of_mesh:
         apart = ~named & ~target
     if apart.any():
-        left = [name for name, one in zip(places.names, apart, strict=True) if one]
+        left = [name for name, is_apart in zip(places.names, apart, strict=True) if is_apart]
         warnings.append(
             f"{len(left)} points are neither on a surface nor among `targets` and are left out: {listed(left, 5)}"
         )

@@ -129,7 +129,7 @@ def _has_the_minimum(stock: Stock, minimum: float, to_part: Array) -> bool:
     """Return whether a pose (6,) leaves the minimum everywhere."""
     # far from a mesh each point costs a long search, and one of a thousand mostly answers
     some = stock.of(np.random.default_rng(1).permutation(len(stock.measured))[:_LAID_ON])
-    return all(bool(one.at(to_part).overstock.min() >= minimum) for one in (some, stock))
+    return all(bool(points.at(to_part).overstock.min() >= minimum) for points in (some, stock))
 
 
 def _rough(prepared: Prepared) -> Array:

@@ -102,7 +102,7 @@ def unturned(nominal: Sought, measured: Array, start: Array) -> Array:
     given = poses.rotation_of(start)
     tried = [start, poses.pose(given, _middle_on_middle(nominal, measured, given[None])[0])]
     rows = _spread(len(measured), None, np.random.default_rng(1))
-    distance, _ = nominal.quick(np.stack([poses.apply(one, measured[rows]) for one in tried]), None)
+    distance, _ = nominal.quick(np.stack([poses.apply(pose, measured[rows]) for pose in tried]), None)
     return tried[int(np.median(np.abs(distance), axis=1).argmin())]
 
 

@@ -98,7 +98,9 @@ def fitted_features(wanted: Sequence[RequestedFeature], points: FeaturePoints) -
     tables, arrays, by_common = fitted(wanted, corrected, joint)
     estimates, kept = estimates_of(tables)
     covariance = arrays[COVARIANCE][np.ix_(kept, kept)]
-    of = {one.name: feature for feature in dofs for one in estimates if one.name.startswith(f"{feature}.")}
+    of = {
+        estimate.name: feature for feature in dofs for estimate in estimates if estimate.name.startswith(f"{feature}.")
+    }
     details = {name: {"dof": dofs[feature]} for name, feature in of.items()}
     notes += exchanging(tables)
     return FittedFeatures(estimates, covariance, by_common[kept], tables, arrays, tuple(notes), details)

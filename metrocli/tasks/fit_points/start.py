@@ -40,10 +40,10 @@ def exchanged(points: Array, goals: Array, scaled: bool) -> tuple[int, int] | No
     if not 4 <= len(points) <= _MOST:
         return None
     before, best = rms(points, goals, scaled), (np.inf, (0, 0))
-    for one, other in combinations(range(len(points)), 2):
+    for first, other in combinations(range(len(points)), 2):
         order = np.arange(len(points))
-        order[[one, other]] = other, one
-        best = min(best, (rms(points[order], goals, scaled), (one, other)))
+        order[[first, other]] = other, first
+        best = min(best, (rms(points[order], goals, scaled), (first, other)))
     return best[1] if best[0] ** 2 * _BETTER < before**2 else None
 
 
@@ -66,11 +66,11 @@ def mirrored(points: Array, goals: Array, names: Sequence[str], scaled: bool, st
         )
     pair = exchanged(points, goals, scaled)
     if pair is not None:
-        one, two = (names[i] for i in pair)
+        first, two = (names[i] for i in pair)
         so = "without that the squared deviations are more than a hundred times smaller"
         if station:
-            raise InputError(f"points {one} and {two} are exchanged at station {station}, or before it: {so}")
-        raise InputError(f"points {one} and {two} are exchanged in one of the lists: {so}")
+            raise InputError(f"points {first} and {two} are exchanged at station {station}, or before it: {so}")
+        raise InputError(f"points {first} and {two} are exchanged in one of the lists: {so}")
     return other
 
 

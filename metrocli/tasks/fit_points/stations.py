@@ -111,8 +111,8 @@ def _joined(given: StationPoints, values: Array, fixed: bool) -> tuple[Array, Ar
         rows = np.flatnonzero(given.station == left.pop(0))
         values[given.of[rows]] = given.points[rows]
     while left:
-        rows_of = {one: _common(given, one, values) for one in left}
-        widths = {one: _width(values[given.of[rows]]) for one, rows in rows_of.items()}
+        rows_of = {station: _common(given, station, values) for station in left}
+        widths = {station: _width(values[given.of[rows]]) for station, rows in rows_of.items()}
         best = max(left, key=widths.__getitem__)
         if not widths[best] > 0:
             raise UndeterminedError("\n".join(_unjoined(given, rows_of, len(left) == len(given.names) - fixed)), 0.0)
@@ -141,11 +141,11 @@ def _width(places: Array) -> float:
 
 def _unjoined(given: StationPoints, rows_of: dict[int, Index], none: bool) -> Iterator[str]:
     """Yield for each station that cannot be joined what it has in common with the others."""
-    for one, rows in rows_of.items():
+    for station, rows in rows_of.items():
         what = listed([given.places[i] for i in given.of[rows]])
         shared = f"{len(rows)} known points ({what})" if len(rows) else "no known point"
         line = " all on a line" if len(rows) >= _FEWEST else ""
-        yield f"station {given.names[one]} cannot be joined: it has {shared}{line}"
+        yield f"station {given.names[station]} cannot be joined: it has {shared}{line}"
     yield "  what would join it: three points, not on a line, that it shares with " + (
         "the frame (the nominal list, or the first station)" if none else "the frame and the stations joined to it"
     )

@@ -108,7 +108,7 @@ def _affine(balls: Array, values: Array) -> Array:
 
 def _nearest(matrix: Array) -> Array:
     """Return the nearest of the 48 matrices that bring the grid onto itself."""
-    return max(_ONTO_ITSELF, key=lambda one: float((one * matrix).sum()))
+    return max(_ONTO_ITSELF, key=lambda turn: float((turn * matrix).sum()))
 
 
 def _other_pitch(readings: GridReadings, observed: list[Observed | None], pitch: float) -> list[str]:

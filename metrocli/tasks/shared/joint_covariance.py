@@ -105,7 +105,7 @@ def _digest(group: Group) -> str:
     """Return a digest of what is observed, by its values and their covariance: equal for the same input alone."""
     parts: list[Any] = [part for link in group.chain.links for part in getattr(link, "parts", (link,))]
     observed = [*(part.reference for part in parts), group.observations.covariance]
-    return sha256(b"".join(np.ascontiguousarray(one).tobytes() for one in observed)).hexdigest()
+    return sha256(b"".join(np.ascontiguousarray(values).tobytes() for values in observed)).hexdigest()
 
 
 @dataclass(frozen=True)

@@ -103,7 +103,7 @@ def distinguished(keys: Mapping[str, tuple[str, ...]], pair: Index, time: Array 
     """Return the keys of readings, with their times where what they read (its number, (n,)) is read twice."""
     if time is None or len(np.unique(pair)) == len(pair):
         return dict(keys)
-    return {**keys, TIME: tuple(f"{one:.10g} s" for one in time.tolist())}
+    return {**keys, TIME: tuple(f"{when:.10g} s" for when in time.tolist())}
 
 
 def name_of(keys: Mapping[str, tuple[str, ...]], key: str, row: int) -> str:

@@ -78,19 +78,21 @@ def view_warnings(system: CameraSystem, solution: Solution) -> Iterator[str]:
 def fisheyes(system: CameraSystem, settings: Settings, solution: Solution) -> list[str]:
     """Return the cameras that the model fisheye fits far better than an adjustment that did not converge."""
     off = root_mean_square(system.images.residuals({**system.blocks, **solution.blocks}))
-    each = ((name, fisheye_instead(one, system.cameras[name], off)) for name, one in _problems(system, settings))
+    each = (
+        (name, fisheye_instead(problem, system.cameras[name], off)) for name, problem in _problems(system, settings)
+    )
     return [f"{name}: {line}" for name, lines in each for line in lines]
 
 
 def pinholes(system: CameraSystem) -> Iterator[tuple[str, CameraProblem]]:
     """Yield the calibration of each camera alone, but of those whose lens has a shape of its own."""
-    yield from ((name, one) for name, one in system.alone.items() if system.cameras[name].model != SPLINE)
+    yield from ((name, problem) for name, problem in system.alone.items() if system.cameras[name].model != SPLINE)
 
 
 def _problems(system: CameraSystem, settings: Settings) -> Iterator[tuple[str, CameraProblem]]:
-    for name, one in system.alone.items():
+    for name, problem in system.alone.items():
         spline = system.cameras[name].model == SPLINE
-        yield name, with_shape(one, settings.noise not in FROM_RESIDUALS) if spline else one
+        yield name, with_shape(problem, settings.noise not in FROM_RESIDUALS) if spline else problem
 
 
 def views_of(system: CameraSystem, solution: Solution) -> tuple[Array, Array]:

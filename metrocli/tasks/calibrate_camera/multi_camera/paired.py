@@ -37,9 +37,9 @@ def as_several(job: Job[Settings, Files]) -> Iterator[tuple[Mistake, Job[Setting
     settings = job.settings
     if settings.rig != "board" or job.effects:
         return
-    one = {entry.name: getattr(settings.camera, entry.name) for entry in fields(CameraSettings)}
+    given = {entry.name: getattr(settings.camera, entry.name) for entry in fields(CameraSettings)}
     names = job.files.images.names if job.files.images is not None else _names(job.files)
-    cameras = {name: OneOfSeveral(**one, images=shape) for name, shape in paired(names).items()}
+    cameras = {name: OneOfSeveral(**given, images=shape) for name, shape in paired(names).items()}
     if not cameras or not _are_apart(job, cameras):
         return
     shapes = in_a_row([several.images for several in cameras.values()])
@@ -109,7 +109,7 @@ def _entries(several: OneOfSeveral) -> dict[str, str | Sequence[str]]:
     for key in _WRITTEN:
         value = getattr(several, key)
         if value is not None and value != getattr(usual, key):
-            write[key] = value if isinstance(value, str) else [str(one) for one in value]
+            write[key] = value if isinstance(value, str) else [str(entry) for entry in value]
     if several.pixel_size is not None:
         write["pixel_size"] = f"{several.pixel_size:.10g} mm"
     return write | {key: f"{value:.15g} {unit_of(key)}".strip() for key, value in several.given().items()}

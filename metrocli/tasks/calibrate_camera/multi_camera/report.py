@@ -134,11 +134,11 @@ def report(system: CameraSystem, adjusted: AdjustedImages, job: Job[Settings, Fi
 
 
 def _of_shapes(system: CameraSystem, shapes: Mapping[str, LensShape], solution: Solution) -> Iterator[str]:
-    for name, one in system.cameras.items():
+    for name, camera_settings in system.cameras.items():
         if name in shapes:
             size = rms_of(shapes[name], solution)
             yield f"shape of the lens of {name} beside its base: {size:.2g} px (rms over the image)"
-        elif one.model == SPLINE:
+        elif camera_settings.model == SPLINE:
             yield f"the readings show no shape of the lens of {name} beside its base: its result is that of the base"
 
 

@@ -50,7 +50,7 @@ def pose_between(first: CalibratedCamera, second: CalibratedCamera, points: Arra
     """
     _, at, to = np.intersect1d(first.exposure, second.exposure, return_indices=True)
     held = poses.compose(poses.inverse(first.places[at]), second.places[to])
-    off = np.array([_off(one, first.places[at], second.places[to], second.focal, points) for one in held])
+    off = np.array([_off(pose, first.places[at], second.places[to], second.focal, points) for pose in held])
     best = int(np.lexsort((np.median(off, axis=1), -(off <= second.limit).sum(axis=1)))[0])
     fits = off[best] <= second.limit
     if not fits.all():
@@ -66,7 +66,7 @@ def pose_between(first: CalibratedCamera, second: CalibratedCamera, points: Arra
 def _off(pose: Array, first: Array, second: Array, focal: float, points: Array) -> Array:
     """Return by how much the second camera sees targets elsewhere than poses of the first predict, rms (images,) px."""
     predicted = poses.compose(first, np.broadcast_to(pose, first.shape))
-    rays = [poses.apply(poses.inverse(one)[:, None], points) for one in (predicted, second)]
+    rays = [poses.apply(poses.inverse(camera_pose)[:, None], points) for camera_pose in (predicted, second)]
     units = [ray / np.linalg.norm(ray, axis=2, keepdims=True) for ray in rays]
     return np.asarray(focal * np.sqrt(((units[0] - units[1]) ** 2).sum(axis=2).mean(axis=1)))
 
@@ -103,7 +103,9 @@ def _by_all(first: CalibratedCamera, second: CalibratedCamera, points: Array) ->
 
     def matching(pose: Array) -> int:
         all_of = (np.broadcast_to(end, first.places.shape) for end in ends)
-        return sum(bool((_off(pose, first.places, one, second.focal, few) <= second.limit).any()) for one in all_of)
+        return sum(
+            bool((_off(pose, first.places, pose_of, second.focal, few) <= second.limit).any()) for pose_of in all_of
+        )
 
     return max(tried, key=matching)
 

@@ -58,7 +58,7 @@ class CameraSystem(Modelled):
     @property
     def conventions(self) -> tuple[str, ...]:
         """The convention of each lens."""
-        return tuple(one.convention for one in self.cameras.values())
+        return tuple(camera_settings.convention for camera_settings in self.cameras.values())
 
     @property
     def shapes(self) -> list[LensShape]:
@@ -85,7 +85,7 @@ def system_of(
     # targets placed by a CMM are one frame for all cameras
     order = connected(exposed) if settings.rig != "cmm" else [(c, 0) for c in range(1, len(cameras))]
     size = 1.0
-    each = [_alone(settings.rig, one, of_camera(sighted, exposed, i)) for i, one in enumerate(cameras.items())]
+    each = [_alone(settings.rig, named, of_camera(sighted, exposed, i)) for i, named in enumerate(cameras.items())]
     alone = dict(zip(cameras, each, strict=True))
     if settings.rig == "network":
         each = _in_first_frame(each, order)
@@ -120,7 +120,7 @@ def system_of(
     system = CameraSystem(model, settings.rig, cameras, exposed, replace(sighted, warnings=warnings), alone)
     if not sighted.eccentric:
         return system
-    others = tuple(one for one in model.groups if one.name != IMAGES)
+    others = tuple(group for group in model.groups if group.name != IMAGES)
     group, consistent = corrected(model.group(IMAGES), dict(model.blocks), others, datum, targets.radius)
     return system.with_model(model.with_group(group).with_blocks(consistent))
 
@@ -260,7 +260,7 @@ def connected(exposed: Exposures) -> list[tuple[int, int]]:
     """
     count = len(exposed.cameras)
     there = [exposed.exposure[exposed.camera == number] for number in range(count)]
-    shared = np.array([[len(np.intersect1d(one, other)) for other in there] for one in there])
+    shared = np.array([[len(np.intersect1d(exposures, other)) for other in there] for exposures in there])
     reached, pairs = [0], list[tuple[int, int]]()
     while len(reached) < count:
         others = [number for number in range(count) if number not in reached]

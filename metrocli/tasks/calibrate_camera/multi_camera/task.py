@@ -88,7 +88,7 @@ def _solved(settings: Settings, system: CameraSystem) -> AdjustedImages:
     solution = adjusted.solution
     if solution.undetermined or solution.outcome is Outcome.TOO_FEW:
         lines = [f"{solution.outcome.value}: {solution.observations} readings, {solution.unknowns} unknowns"]
-        lines += [f"  undetermined: {in_words(str(one))}" for one in solution.undetermined[:3]]
+        lines += [f"  undetermined: {in_words(str(combination))}" for combination in solution.undetermined[:3]]
         lines.append(
             "  what would determine it: more exposures of the board by all cameras, tilted by 20 to 45 degrees, near "
             "and far, or fewer parameters in `estimate`"

@@ -103,7 +103,7 @@ def kernels(link: LensShape, image_size: tuple[int, int]) -> list[Array]:
     alike = [np.exp(-apart / (2 * (reach * max(image_size)) ** 2)) for reach in _REACHES]
     n = link.to_coefficients
     # coefficients are N w, and the columns of N are orthonormal: w has the covariance N'KN
-    return [n.T @ np.kron(np.eye(2), one) @ n for one in alike]
+    return [n.T @ np.kron(np.eye(2), gram) @ n for gram in alike]
 
 
 def extended(model: Model, link: LensShape, covariance: Array) -> Model:

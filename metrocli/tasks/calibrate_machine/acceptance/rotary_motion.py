@@ -37,16 +37,16 @@ def rotary_motion(tables: Tables, known: Collection[str]) -> dict[str, Table]:
     Source: ISO 230-7:2015, 3.5 (radial, axial, tilt error motion; fixed and rotating sensitive direction).
     """
     axes = [axis for axis in tables.machine.axes if isinstance(axis, RotaryAxis)]
-    motions = [one for axis in axes for one in _motions(axis) if set(one.errors) <= set(known)]
+    motions = [motion for axis in axes for motion in _motions(axis) if set(motion.errors) <= set(known)]
     if not motions:
         return {}
-    rows = [_range(tables, one) for one in motions]
+    rows = [_range(tables, motion) for motion in motions]
     columns = {
-        "axis": [one.axis for one in motions],
-        "motion": [one.name for one in motions],
-        "direction": [one.direction for one in motions],
-        "errors": [" ".join(one.errors) for one in motions],
-        "unit": [one.unit for one in motions],
+        "axis": [motion.axis for motion in motions],
+        "motion": [motion.name for motion in motions],
+        "direction": [motion.direction for motion in motions],
+        "errors": [" ".join(motion.errors) for motion in motions],
+        "unit": [motion.unit for motion in motions],
     }
     return {"rotary_motion": Table.of({**columns, "low high range U_range": np.array(rows)})}
 

@@ -45,7 +45,7 @@ def positioning_of(
     reading = float(np.hypot(factor * (own or 0.0), rest / np.sqrt(12)))
     figures, warnings = positioning(runs, LineUncertainty(reading, known.scale))
     found = {"positioning": figures, "positioning_targets": at_targets(runs)}
-    return {name: one for name, one in found.items() if one is not None}, warnings
+    return {name: run for name, run in found.items() if run is not None}, warnings
 
 
 def shown_figures(name: str, table: Table) -> ShownTable:
@@ -87,9 +87,9 @@ def _rotary_runs(tables: Tables, solved: AdjustedMachine) -> _RotaryRuns:
             found = [_run(tables, solved, axis, own) for own in rows]
             names = [other.letter for other in axes if other is not axis]
             at = [np.degrees([place[own[0]] for place in others]).round(_ROUNDED) for own in rows]
-            words = [", ".join(f"{n} = {v:g} deg" for n, v in zip(names, one, strict=True)) for one in at]
-            runs += [Run(axis.letter, *one[:2], where) for one, where in zip(found, words, strict=True)]
-            uncertain += [one[2] for one in found]
+            words = [", ".join(f"{n} = {v:g} deg" for n, v in zip(names, position, strict=True)) for position in at]
+            runs += [Run(axis.letter, *run[:2], where) for run, where in zip(found, words, strict=True)]
+            uncertain += [run[2] for run in found]
     return _RotaryRuns(tuple(runs), max(uncertain, default=0.0))
 
 
@@ -113,11 +113,11 @@ def _parts(there: Array, side: Array) -> Iterator[Index]:
 def _run(tables: Tables, solved: AdjustedMachine, axis: RotaryAxis, rows: Index) -> tuple[Array, Array, float]:
     """Return the targets [deg], the deviations and the largest standard uncertainty [rad] of a run."""
     blocks, name = solved.solution.blocks, solved.problem.readings.name
-    group = next(one for one in solved.solution.groups if one.name == name)
+    group = next(group for group in solved.solution.groups if group.name == name)
     name = errors_of(axis.letter)[axis.number + 3]
     linear = group.selected(rows).linear(blocks, frozenset({axis.block}))
     column = blocks[axis.block].column(name)
-    by_angle = np.sum([one.jacobian[:, column] for one in linear.touches if one.block == axis.block], axis=0)
+    by_angle = np.sum([touch.jacobian[:, column] for touch in linear.touches if touch.block == axis.block], axis=0)
     position = group.observations.conditions[axis.coordinate][rows]
     targets, of = np.unique(np.degrees(position).round(_ROUNDED), return_inverse=True)
     weight = np.bincount(of, (by_angle**2).sum(axis=0))

@@ -51,9 +51,9 @@ class KnownAxes:
         tables = {
             name: values[[i for i, (error, _) in enumerate(self.entries) if error == name]] for name in self.names
         }
-        square = {name: float(one[0]) for name, one in tables.items() if name not in _OF_AXES}
+        square = {name: float(value[0]) for name, value in tables.items() if name not in _OF_AXES}
         made = [axis.block_of(tables, self.names) for axis in self.axes] + [squareness_block(square, self.names)]
-        return {one.name: _into(blocks[one.name], one, self.names) for one in made}
+        return {block.name: _into(blocks[block.name], block, self.names) for block in made}
 
     def drawn(self, blocks: Mapping[str, Block], rng: np.random.Generator) -> dict[str, Block]:
         """Return the blocks of a machine with errors drawn within their covariance."""
@@ -68,9 +68,9 @@ class KnownAxes:
         values, vectors = np.linalg.eigh(self.covariance[np.ix_(known, known)] / std[known] / std[known][:, None])
         kept = values > _RANK * values[-1]
         turned = (vectors[:, kept] / std[known][:, None]).T
-        by_entry = {name: one[known] for name, one in self._by_values(blocks).items()}
-        weights = {name: np.tensordot(turned, one, 1) for name, one in by_entry.items() if one.any()}
-        index = {name: np.arange(one.shape[1])[:, None] for name, one in weights.items()}
+        by_entry = {name: rows[known] for name, rows in self._by_values(blocks).items()}
+        weights = {name: np.tensordot(turned, weight, 1) for name, weight in by_entry.items() if weight.any()}
+        index = {name: np.arange(weight.shape[1])[:, None] for name, weight in weights.items()}
         read = Observations((turned @ self.values[known])[:, None], np.sqrt(values[kept])[:, None], index)
         return Group(KNOWN, Chain((Combinations(weights),)), read)
 

@@ -116,12 +116,11 @@ def _must_meet(machine: Machine, position: Array, targets: MeasuredTargets, read
 
 def _of_other_names(named: Index, at: Index, wrong: Index, names: Sequence[str], table: Table) -> Iterator[Fault]:
     """Yield faults of rows in which the probe is at another ball than the named one."""
-    for one, other in combinations(range(len(names)), 2):
-        both = np.isin(named, (one, other))
-        if np.isin(np.flatnonzero(both), wrong).all() and (at[both] == one + other - named[both]).all():
-            text = (
-                f"{names[one]} and {names[other]} are exchanged: the probe finds each at the listed place of the other"
-            )
+    for first, other in combinations(range(len(names)), 2):
+        both = np.isin(named, (first, other))
+        if np.isin(np.flatnonzero(both), wrong).all() and (at[both] == first + other - named[both]).all():
+            exchanged = f"{names[first]} and {names[other]} are exchanged"
+            text = f"{exchanged}: the probe finds each at the listed place of the other"
             yield table.fault(text, "exchange their names in the list of the balls, or in the column `ball`")
             wrong = wrong[~both[wrong]]
     for row in wrong[:5].tolist():

@@ -107,7 +107,7 @@ def _enough(settings: Settings, files: Files) -> tuple[_Trial, str]:
             count *= _GROWTH
             before, trial = trial, tried(count)
             if trial.worth.identified.ratio > _GAIN * before.worth.identified.ratio:
-                trial = min(before, trial, key=lambda one: one.worth.identified.ratio)
+                trial = min(before, trial, key=lambda proposal: proposal.worth.identified.ratio)
                 break
         ratio = trial.worth.identified.ratio
         return trial, _FEW.format(f"a ratio of {ratio:.1f} to {wanted.ratio:g}") if ratio > wanted.ratio else ""

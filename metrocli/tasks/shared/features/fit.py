@@ -71,7 +71,7 @@ def _round(shape: IdealFeature, scaled: Array, centre: Array, size: float, axes:
         origin = centre + size * (solved[0] * first + solved[1] * second)
         # over the radius: u^2 + v^2 - R^2 is 2 R times the distance from the surface
         fits.append((misfit / radius, Ideal(shape, origin, axis, size * radius, float(np.arctan(slope)), size)))
-    fits.sort(key=lambda one: one[0])
+    fits.sort(key=lambda fitted: fitted[0])
     # several starts: the best direction of a coarse search is not always that of the best fit
     yield from (ideal for _, ideal in fits[:_KEPT])
 
@@ -96,7 +96,7 @@ def least_squares(shape: IdealFeature, points: Array) -> FeatureFit:
     wanted = list(UNKNOWNS[shape])
     if len(points) < fewest(shape):
         raise UndeterminedError(f"a {shape} needs {fewest(shape)} points, and there are {len(points)}")
-    fits = [one for start in starts(shape, points) if (one := _gauss_newton(start, points, wanted)) is not None]
+    fits = [fitted for start in starts(shape, points) if (fitted := _gauss_newton(start, points, wanted)) is not None]
     if not fits:
         raise NotConvergedError(f"the least-squares {shape} was not found in {_ITERATIONS} iterations")
     ideal = min(fits, key=lambda ideal: _sum(ideal, points)).about(points.mean(axis=0))

@@ -153,7 +153,7 @@ def _by_quadratic(ideal: Ideal, points: Array, wanted: list[int], gain: float) -
         weights = solved.duals / solved.duals.sum()
         step = np.zeros(STEP)
         step[wanted] = level * solved.x[:size]
-        trial = next((one for k in range(30) if _level(one := ideal.moved(step / 2**k), points) < level), None)
+        trial = next((moved for k in range(30) if _level(moved := ideal.moved(step / 2**k), points) < level), None)
         if trial is None:
             return ideal
         ideal, before = trial, level

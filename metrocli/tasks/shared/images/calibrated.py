@@ -121,15 +121,15 @@ def lens_differences(first: Result, second: Result) -> list[LensDifference]:
     if not all("camera" in result.tables and "convention" in result.statistics for result in (first, second)):
         return []
     others = {camera.name: camera for camera in stated_cameras(second)}
-    pairs = [(one, others[one.name]) for one in stated_cameras(first) if one.name in others]
-    found = [_difference(one, other) for one, other in pairs if one.size == other.size]
-    return [one for one in found if np.isfinite(one.change).any()]
+    pairs = [(camera, others[camera.name]) for camera in stated_cameras(first) if camera.name in others]
+    found = [_difference(camera, other) for camera, other in pairs if camera.size == other.size]
+    return [difference for difference in found if np.isfinite(difference.change).any()]
 
 
-def _difference(one: StatedCamera, other: StatedCamera) -> LensDifference:
-    along = [np.linspace(0, extent - 1, n) for extent, n in zip(one.size, GRID, strict=True)]
+def _difference(first: StatedCamera, other: StatedCamera) -> LensDifference:
+    along = [np.linspace(0, extent - 1, n) for extent, n in zip(first.size, GRID, strict=True)]
     uv = np.stack([part.ravel() for part in np.meshgrid(*along)])
-    seen, there = _units(one, uv), _units(other, uv)
+    seen, there = _units(first, uv), _units(other, uv)
     known = np.isfinite(seen).all(axis=0) & np.isfinite(there).all(axis=0)
     # what a turn of the camera explains is no difference of its lens: the poses of its images take it up
     rotation = nearest_rotation(there[:, known] @ seen[:, known].T)
@@ -142,7 +142,7 @@ def _difference(one: StatedCamera, other: StatedCamera) -> LensDifference:
         # normal equations of two unknowns for each place, solved in closed form
         p, q = (by_u * left).sum(axis=0), (by_v * left).sum(axis=0)
         at = at + np.stack([c * p - b * q, a * q - b * p]) / (a * c - b * b)
-    return LensDifference(one.name, uv, at - uv, one.size)
+    return LensDifference(first.name, uv, at - uv, first.size)
 
 
 def _units(camera: StatedCamera, uv: Array) -> Array:
