@@ -78,7 +78,7 @@ def robust_start(
             break
         # least absolute deviations first: the biweight ignores what is far off, so it needs a start that is near
         weigh = _least_absolute if turn < _ROUNDS // 2 else _biweight
-        held = _reweighted(groups, {name: weigh(of_group) for name, of_group in share.items()})
+        held = _reweighted(groups, {name: weigh(sizes) for name, sizes in share.items()})
         control = StoppingRule(limit=8, covariance=False)
         near = control if turn == _ROUNDS - 1 else replace(control, tolerance=_NEAR)
         state = adjust(state.values(), held, datum, near).blocks

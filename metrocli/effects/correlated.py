@@ -180,7 +180,7 @@ def _with_group(model: Model, name: str, error: StatedCorrelation, basis: Array,
     conditions: Mapping[str, Array] = dict(zip(keys, basis * relative, strict=True))
     group = replace(group, observations=replace(observations, conditions={**observations.conditions, **conditions}))
     components, first = len(observations.readings), observations.unit_of_each[0]
-    dimension = next((dimension for dimension in units.DIMENSIONS if units.internal_unit(dimension) == first), "")
+    dimension = next((quantity for quantity in units.DIMENSIONS if units.internal_unit(quantity) == first), "")
     parameters = tuple(Parameter(f"c{j + 1}", dimension, std) for j in range(components * len(basis)))
     at, scales = group.chain.links[-1].gives, tuple((typical / typical[0]).tolist())
     effect = replace(

@@ -75,11 +75,11 @@ def expressed(program: str, result: Result, within: float, posed: bool = False) 
     found = list[ExpressedCamera]()
     for stated in stated_cameras(result):
         try:
-            single = _of_program(program, stated, within)
+            camera = _of_program(program, stated, within)
         except InputError as error:
             raise InputError(f"camera {stated.name}: {error}" if stated.name else str(error)) from error
         lost = f"the pose of {stated.name} beside {found[0].name} is not in this format" if found and not posed else ""
-        found.append(replace(single, name=stated.name, pose=stated.pose, notes=(*single.notes, *filter(None, [lost]))))
+        found.append(replace(camera, name=stated.name, pose=stated.pose, notes=(*camera.notes, *filter(None, [lost]))))
     return found
 
 

@@ -98,9 +98,9 @@ class Triangles:
         from scipy.sparse import coo_array
         from scipy.sparse.csgraph import connected_components
 
-        first, other, _ = self._edges
+        first, second, _ = self._edges
         f = len(self.faces)
-        links = coo_array((np.ones(int(smooth.sum())), (first[smooth], other[smooth])), shape=(f, f))
+        links = coo_array((np.ones(int(smooth.sum())), (first[smooth], second[smooth])), shape=(f, f))
         return np.asarray(connected_components(links, directed=False)[1], dtype=np.intp)
 
     @cached_property
@@ -135,8 +135,7 @@ class Triangles:
     @property
     def neighbours(self) -> Index:
         """Pairs of patches that meet at an edge, both ways and in order (k, 2)."""
-        triangle, other, _ = self._edges
-        first, second = self.patch[triangle], self.patch[other]
+        first, second = (self.patch[triangles] for triangles in self._edges[:2])
         across = first != second
         keys = np.concatenate(
             [first[across] * self.patches + second[across], second[across] * self.patches + first[across]]

@@ -36,18 +36,18 @@ def files(lines: TextLines, wishes: ImportOptions) -> Imported:
     Raises InputError for what a file lacks, and for models that are not known here.
     """
     parts, rigs = dict[str, CameraPart](), None
-    for file in (lines, *wishes.others):
-        if is_rigs(file):
-            rigs = file
+    for text in (lines, *wishes.others):
+        if is_rigs(text):
+            rigs = text
             continue
-        read = _cameras(file)
+        read = _cameras(text)
         if not read:
             expected = f"expected a camera of {', '.join(PROGRAMS)}"
-            raise InputError([file.fault("this is no camera of another program", None, expected)])
+            raise InputError([text.fault("this is no camera of another program", None, expected)])
         if wishes.others and len(read) == 1:
-            read = {Path(file.file).stem: next(iter(read.values()))}
+            read = {Path(text.file).stem: next(iter(read.values()))}
         if twice := [name for name in read if name in parts]:
-            raise InputError([file.fault(f"another file has the camera {twice[0]} too", None, "name files distinctly")])
+            raise InputError([text.fault(f"another file has the camera {twice[0]} too", None, "name files distinctly")])
         parts |= read
     if not parts:
         raise InputError([lines.fault("this is where cameras are, but none of them", None, "give cameras.txt too")])

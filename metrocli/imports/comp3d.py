@@ -112,23 +112,17 @@ def _network(seen: list[_Observed], away: Mapping[tuple[str, str], float]) -> El
         begin, to = observed.ends
         distance = away.get(observed.ends, 1.0)
         linear = observed.code in (*_DISTANCE, _LEVELLED)
-        size = (
-            observed.sigma + observed.relative * distance
-            if linear
-            else observed.sigma + _gon(observed.relative / distance)
-        )
+        size = observed.sigma
+        size += observed.relative * distance if linear else _gon(observed.relative / distance)
         cells = {"to": to, "val": observed.value, "stdev": f"{size * (_MM if linear else _CC):.10g}"}
         if observed.code == _LEVELLED:
             SubElement(lines, "dh", {"from": begin, **cells})
             continue
         if begin not in sets or observed.code == _ROUND:
             sets[begin] = SubElement(section, "obs", {"from": begin})
-        heights = (
-            {}
-            if _TAGS[observed.code] == "direction"
-            else dict(zip(("from_dh", "to_dh"), observed.heights, strict=True))
-        )
-        SubElement(sets[begin], _TAGS[observed.code], cells | heights)
+        tag = _TAGS[observed.code]
+        heights = {} if tag == "direction" else dict(zip(("from_dh", "to_dh"), observed.heights, strict=True))
+        SubElement(sets[begin], tag, cells | heights)
     if len(lines):
         section.append(lines)
     return network

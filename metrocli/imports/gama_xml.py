@@ -144,7 +144,7 @@ class _NetworkSections:
         points, shots, heights = list[tuple[str, ...]](), list[_Shot](), list[tuple[str, ...]]()
         stations: list[tuple[str, ...]] = []
         sets = [element for section in self.network.iter("points-observations") for element in section.iter("obs")]
-        often = Counter(key[0] for set_ in sets for key in _setups(set_))
+        often = Counter(key[0] for angles in sets for key in _setups(angles))
         number: Counter[str] = Counter()
         for section in self.network.iter("points-observations"):
             for element in section:

@@ -102,12 +102,12 @@ def draw(canvas: Canvas, series: tuple[Series, ...]) -> str:
         out = quantity.outside
         axes.plot(number[out], quantity.values[out], "D", ms=4.5, color=theme.second)
         axes.set_title(f"{quantity.name}" + (f" ({quantity.unit})" if quantity.unit not in ("", "1") else ""))
-    parts = max((series.parts for series in shown), key=len)
+    parts = max((quantity.parts for quantity in shown), key=len)
     if len(parts) <= _LABELLED:
         all_axes[-1].set_xticks(np.arange(1, len(parts) + 1), parts, rotation=90 if len(parts) > 8 else 0)
     all_axes[-1].set_xlabel("part, in the order of the list")
     left = f" The first {_MOST} of {len(series)} estimates are shown." if len(series) > _MOST else ""
-    dashed = " Dashed: limits of the tolerance." if any(np.isfinite(series.tolerance).any() for series in shown) else ""
+    dashed = " Dashed: limits of the tolerance." if any(np.isfinite(chart.tolerance).any() for chart in shown) else ""
     points = "Points: estimates with two standard uncertainties. Line: mean."
     if not any(line.limited for line in series):
         return f"{points} Control limits need {LEAST} parts.{dashed}{left}"

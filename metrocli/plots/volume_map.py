@@ -96,8 +96,8 @@ def height(volume: VolumeMap) -> float:
     """Return the height of the figure in inches."""
     columns = _columns(volume)
     wide, high = np.ptp(volume.layers[0].at, axis=0)
-    height = float(np.clip(5.0 / columns * high / max(wide, 1e-9), 1.0, 4.0)) + 0.5
-    return height * -(-len(volume.layers) // columns) + 0.6
+    each = float(np.clip(5.0 / columns * high / max(wide, 1e-9), 1.0, 4.0)) + 0.5
+    return each * -(-len(volume.layers) // columns) + 0.6
 
 
 def draw(canvas: Canvas, volume: VolumeMap) -> str:

@@ -100,7 +100,7 @@ def _places(steps: Index, plane: Array, seen: Array) -> tuple[Index, Index]:
         place = around[..., 0], around[..., 1]
         on_board, at = plane[place].reshape(-1, 2), seen.reshape(-1, 2)
         turns.append((float(np.abs(projected(homography(on_board, at), on_board) - at).mean()), place))
-    return min(turns, key=lambda tag: tag[0])[1]
+    return min(turns, key=lambda turn: turn[0])[1]
 
 
 def _window(pattern: Pattern) -> float:

@@ -273,7 +273,7 @@ def _points(names: list[str], vectors: Array, covariance: Array, dof: Array) -> 
 def _lengths(check: Table, first: PredictedPlaces, second: PredictedPlaces, dof: float) -> tuple[Deviation, ...]:
     """Return the deviations of lengths, `U = k sqrt(e' (Q_aa + Q_bb - Q_ab - Q_ba) e + sigma^2)`, e the direction."""
     ends = list(zip(check.texts("from"), check.texts("to"), strict=True))
-    same = [row for row, (begin, other) in enumerate(ends) if begin == other]
+    same = [row for row, (begin, end) in enumerate(ends) if begin == end]
     if same:
         raise InputError(check.faults_at(same, lambda row: f"the length is from '{ends[row][0]}' to itself"))
     away = second.values - first.values
@@ -290,4 +290,4 @@ def _lengths(check: Table, first: PredictedPlaces, second: PredictedPlaces, dof:
     without = np.where(np.abs(deviation) > _ROUNDING, np.inf, 0.0)
     en = np.where(expanded > 0, np.abs(deviation) / np.where(expanded > 0, expanded, 1.0), without)
     rows = zip(ends, deviation.tolist(), expanded.tolist(), en.tolist(), k.tolist(), strict=True)
-    return tuple(Deviation(f"{begin} - {other}", *figures) for (begin, other), *figures in rows)
+    return tuple(Deviation(f"{begin} - {end}", *figures) for (begin, end), *figures in rows)

@@ -99,12 +99,12 @@ def rows_without_members(solution: Solution, clusters: Mapping[str, Index]) -> C
     of_clusters, others = [], []
     for at in numbers_of(clusters):
         parts = [
-            _without_member(linear[block], solution, np.flatnonzero(index == at)) for block, index in everywhere.items()
+            _without_member(linear[group], solution, np.flatnonzero(index == at)) for group, index in everywhere.items()
         ]
         of_clusters.append(_joined(parts))
-    for block, found in linear.items():
-        if block not in everywhere:
-            others.append(_selected(found, layout, np.arange(found.residual.shape[1])))
+    for name_of_group, rows in linear.items():
+        if name_of_group not in everywhere:
+            others.append(_selected(rows, layout, np.arange(rows.residual.shape[1])))
     return ClusterRows(layout.width, tuple(of_clusters), tuple(others), together=True)
 
 
@@ -112,7 +112,7 @@ def rows_of_table(jacobian: Sparse, residual: Array, cluster: Index) -> ClusterR
     """Return rows from the derivatives (rows, unknowns) and residuals (rows,); `cluster` (rows,) is -1 in others."""
     parts = {at: np.flatnonzero(cluster == at) for at in np.unique(cluster).tolist()}
     dense = {at: _dense(jacobian[rows], residual[rows]) for at, rows in parts.items()}
-    of_clusters = tuple(block for at, block in dense.items() if at >= 0)
+    of_clusters = tuple(rows for at, rows in dense.items() if at >= 0)
     return ClusterRows(int(jacobian.shape[1]), of_clusters, (dense[-1],) if -1 in dense else (), together=True)
 
 

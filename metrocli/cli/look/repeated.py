@@ -62,8 +62,8 @@ def _figures_of_series(
         }
         drift.setdefault(compared.group, {})[compared.name] = row
     pooled = [
-        {"group": pooled.group, "unit": pooled.unit, "std": pooled.std, "expected": pooled.expected, "dof": pooled.dof}
-        for pooled in repeats.pooled
+        {"group": spread.group, "unit": spread.unit, "std": spread.std, "expected": spread.expected, "dof": spread.dof}
+        for spread in repeats.pooled
     ]
     calibrations = [
         {"file": str(file), "time": at, "max_en": en}

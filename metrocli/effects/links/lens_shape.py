@@ -126,7 +126,7 @@ class LensShape:
             return Step(moved)
         by_point = np.stack([coefficients @ self._basis(value, local, slope).T for slope in (0, 1)], axis=1)
         by_point = by_point + np.eye(2)[:, :, None]
-        by_shape = np.stack([(at @ direction).T for direction in both])
+        by_shape = np.stack([(at @ basis).T for basis in both])
         return Step(moved, by_point, {self.block: by_shape} if self.block in local.wanted else {})
 
     def _basis(self, value: Array, local: LinkContext, slope: int | None = None) -> Array:

@@ -34,7 +34,7 @@ class ImageCoverage:
 def data(result: Result, about: str) -> tuple[ImageCoverage, ...] | None:
     """Return the number of readings in ten by ten cells of the image of each camera; None if a size is not known."""
     each = image_residuals(result)
-    return tuple(map(_counted, each)) if each and all(coverage.whole for coverage in each) else None
+    return tuple(map(_counted, each)) if each and all(residuals.whole for residuals in each) else None
 
 
 def _counted(residuals: ImageResiduals) -> ImageCoverage:
@@ -53,13 +53,10 @@ def draw(canvas: Canvas, shown: tuple[ImageCoverage, ...]) -> str:
     for axes, coverage in zip(canvas.images([coverage.camera for coverage in shown]), shown, strict=True):
         _draw(axes, coverage, canvas, 7 if len(shown) == 1 and coverage.counts.max() < 1000 else 5.6)
     shares = [coverage.filled for coverage in shown]
-    filled, count = " and ".join(f"{100 * share:.0f} %" for share in shares), sum(cells.counts.sum() for cells in shown)
+    filled = " and ".join(f"{100 * share:.0f} %" for share in shares)
+    count = sum(coverage.counts.sum() for coverage in shown)
     beyond = " The lens is extrapolated where there are no readings." if min(shares) < 1 else ""
     return f"Readings in each cell, {count:.0f} together; {filled} of the cells have at least one.{beyond}"
-    return (
-        f"Readings in each cell, {sum(coverage.counts.sum() for coverage in shown):.0f} together; {filled} of the cells have "
-        f"at least one.{beyond}"
-    )
 
 
 def _draw(axes: Axes, coverage: ImageCoverage, canvas: Canvas, size: float) -> None:

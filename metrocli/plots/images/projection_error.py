@@ -38,8 +38,8 @@ def _columns(shown: ProjectionError) -> int:
 def height(shown: ProjectionError) -> float:
     """Return the height of the figure in inches."""
     columns = _columns(shown)
-    height = min(4.6 / columns * max(np.ptp(v) / np.ptp(u) for _, u, v, _ in shown.cameras), 5.5) + 0.6
-    return float(height * -(-len(shown.cameras) // columns) + 0.3)
+    each = min(4.6 / columns * max(np.ptp(v) / np.ptp(u) for _, u, v, _ in shown.cameras), 5.5) + 0.6
+    return float(each * -(-len(shown.cameras) // columns) + 0.3)
 
 
 def draw(canvas: Canvas, shown: ProjectionError) -> str:

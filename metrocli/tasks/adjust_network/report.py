@@ -182,7 +182,7 @@ def _groups(solved: AdjustedNetwork) -> Table:
 
 def _figures(parts: Sequence[tuple[Array, ...]]) -> tuple[object, ...]:
     """Return the figures of readings; the variance factor is `v'Pv / sum r` (Förstner 1979)."""
-    values, redundancy, w = (np.concatenate(parts_of_column) for parts_of_column in zip(*parts, strict=True))
+    values, redundancy, w = (np.concatenate(figures) for figures in zip(*parts, strict=True))
     total = float(redundancy.sum())
     factor = float((redundancy * w**2).sum() / total) if total > 1e-6 else float("nan")
     return len(values), float(np.sqrt((values**2).mean())), total, factor

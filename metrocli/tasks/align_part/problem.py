@@ -166,9 +166,9 @@ def _start(
     """Return the starting pose of the part and the starting clamping angle: 0, or the best of twelve if 0 fails."""
     uv, of = sighted.observations.readings, exposed.camera[sighted.view]
     seen = np.full((3, uv.shape[1]), np.nan)
-    for number, member in enumerate(camera.cameras):
+    for number, stated in enumerate(camera.cameras):
         mine = of == number
-        seen[:, mine] = member.direction(uv[:, mine])
+        seen[:, mine] = stated.direction(uv[:, mine])
     seen = np.where(np.isfinite(seen[0]), seen, [[0.0], [0.0], [1.0]])
     points = sighted.targets.points[sighted.target]
     at, in_taper = spindle_poses[exposed.exposure[sighted.view]], camera.in_taper[of]
@@ -260,8 +260,8 @@ def mirrored_pose(problem: AlignmentProblem, adjusted: AdjustedImages) -> Alignm
 
 
 def _alike(first: Array, other: Array) -> str:
-    tilt, two = (np.degrees(poses.euler_form(pose)[3:]) for pose in (first, other))
-    words = (f"alpha {a:.2f}, beta {b:.2f}, gamma {c:.2f} deg" for a, b, c in (tilt, two))
+    angles = (np.degrees(poses.euler_form(pose)[3:]) for pose in (first, other))
+    words = (f"alpha {a:.2f}, beta {b:.2f}, gamma {c:.2f} deg" for a, b, c in angles)
     return (
         "the images fit two poses of the part alike, since its targets lie nearly in one plane and are small or far "
         "away:\n" + "\n".join(f"  {text}" for text in words) + "\n  what decides: images from positions further apart "

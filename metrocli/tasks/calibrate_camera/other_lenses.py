@@ -82,7 +82,7 @@ def other_settings_of_several(
     }
     if new:
         words = f"the lens of {in_a_row(list(new))} is a fisheye"
-        each = (_entries(f"cameras.{name}", old[name], settings) for name, settings in new.items())
+        each = (_entries(f"cameras.{name}", old[name], entry) for name, entry in new.items())
         entries = {key: text for own in each for key, text in own.items()}
         write = f"model: fisheye in cameras: {in_a_row(list(new))}"
         changed = replace(job.settings, cameras={**old, **new})

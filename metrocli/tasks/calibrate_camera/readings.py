@@ -59,8 +59,8 @@ def longer_than_listed(problem: CameraProblem) -> float:
     bars = next((group.observations for group in problem.others if group.name == _BARS), None)
     if bars is None:
         return 1.0
-    begin, other = problem.sighted.targets.points[bars.index[camera.TARGET]]
-    return float(np.median(bars.readings[0] / np.maximum(np.linalg.norm(other - begin, axis=1), 1e-300)))
+    begin, end = problem.sighted.targets.points[bars.index[camera.TARGET]]
+    return float(np.median(bars.readings[0] / np.maximum(np.linalg.norm(end - begin, axis=1), 1e-300)))
 
 
 def units_doubted(size: float) -> tuple[str, ...]:

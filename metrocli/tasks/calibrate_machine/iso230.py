@@ -129,8 +129,8 @@ def _whole(runs: Sequence[Run]) -> tuple[list[_LineRuns], list[str]]:
             for to in (True, False)
         )
         warnings += [
-            f"{where}: {left_out}; the figures of ISO 230-2 leave it out"
-            for left_out in _left_out(targets, rare, places, "deg" if axis in ANGLES else "mm")
+            f"{where}: {without}; the figures of ISO 230-2 leave it out"
+            for without in _left_out(targets, rare, places, "deg" if axis in ANGLES else "mm")
         ]
         if max(len(up), len(down)) > 1 or min(len(up), len(down)) > 0:
             size = (-1, len(targets))
@@ -176,13 +176,14 @@ def _listed(targets: Array, unit: str) -> str:
 def at_targets(runs: Sequence[Run]) -> Table | None:
     """Return mean and standard deviation (nan of one run) in each direction at each target of the same lines."""
     parts = []
-    for run in _whole(runs)[0]:
-        texts = {"axis": run.axis, "at": run.at, "line": run.name}
-        labels = {name: np.full(len(run.targets), text) for name, text in texts.items()}
-        numbers = np.concatenate(at_each_target(run.up, run.down))
-        heading = "position [mm]" if run.axis in AXES else "angle [rad]"
-        places = {heading: _internal(run.axis, run.targets)}
-        parts.append(Table.of({**labels, **places, f"up down s_up s_down [{_unit_of_deviation(run.axis)}]": numbers.T}))
+    for line in _whole(runs)[0]:
+        texts = {"axis": line.axis, "at": line.at, "line": line.name}
+        labels = {name: np.full(len(line.targets), text) for name, text in texts.items()}
+        numbers = np.concatenate(at_each_target(line.up, line.down))
+        heading = "position [mm]" if line.axis in AXES else "angle [rad]"
+        places = {heading: _internal(line.axis, line.targets)}
+        deviations = f"up down s_up s_down [{_unit_of_deviation(line.axis)}]"
+        parts.append(Table.of({**labels, **places, deviations: numbers.T}))
     return Table.stack(parts) if parts else None
 
 
@@ -215,10 +216,10 @@ def _too_few(lines: Sequence[_LineRuns]) -> list[str]:
             for (axis, count, travel), names in targets.items()
         ),
         *(
-            f"axis {run.axis}, {_where(run.name, run.at)}: {len(run.targets)} targets over "
-            f"{np.ptp(run.targets):g} deg; {_ASKS} {fewest_targets(run.axis, float(np.ptp(run.targets)))}"
-            for run in lines
-            if run.axis in ANGLES and len(run.targets) < fewest_targets(run.axis, float(np.ptp(run.targets)))
+            f"axis {line.axis}, {_where(line.name, line.at)}: {len(line.targets)} targets over "
+            f"{np.ptp(line.targets):g} deg; {_ASKS} {fewest_targets(line.axis, float(np.ptp(line.targets)))}"
+            for line in lines
+            if line.axis in ANGLES and len(line.targets) < fewest_targets(line.axis, float(np.ptp(line.targets)))
         ),
     ]
 

@@ -66,11 +66,11 @@ def mirrored(points: Array, goals: Array, names: Sequence[str], scaled: bool, st
         )
     pair = exchanged(points, goals, scaled)
     if pair is not None:
-        first, two = (names[i] for i in pair)
+        first, second = (names[i] for i in pair)
         so = "without that the squared deviations are more than a hundred times smaller"
         if station:
-            raise InputError(f"points {first} and {two} are exchanged at station {station}, or before it: {so}")
-        raise InputError(f"points {first} and {two} are exchanged in one of the lists: {so}")
+            raise InputError(f"points {first} and {second} are exchanged at station {station}, or before it: {so}")
+        raise InputError(f"points {first} and {second} are exchanged in one of the lists: {so}")
     return other
 
 

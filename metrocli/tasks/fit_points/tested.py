@@ -131,7 +131,7 @@ def _merged(read: list[Residuals], whole: bool) -> Residuals:
     """Return the residuals of all groups as readings of one component, or as whole points."""
     parts = ("values", "sigma", "redundancy", "normalised")
     return Residuals(
-        *(np.concatenate([_each(getattr(pair, part), pair, whole) for pair in read], axis=1) for part in parts)
+        *(np.concatenate([_each(getattr(group, part), group, whole) for group in read], axis=1) for part in parts)
     )
 
 

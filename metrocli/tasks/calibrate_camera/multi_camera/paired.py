@@ -109,7 +109,7 @@ def _entries(several: OneOfSeveral) -> dict[str, str | Sequence[str]]:
     for key in _WRITTEN:
         value = getattr(several, key)
         if value is not None and value != getattr(usual, key):
-            write[key] = value if isinstance(value, str) else [str(entry) for entry in value]
+            write[key] = value if isinstance(value, str) else [str(number) for number in value]
     if several.pixel_size is not None:
         write["pixel_size"] = f"{several.pixel_size:.10g} mm"
     return write | {key: f"{value:.15g} {unit_of(key)}".strip() for key, value in several.given().items()}

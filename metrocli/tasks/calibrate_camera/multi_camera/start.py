@@ -66,7 +66,7 @@ def pose_between(first: CalibratedCamera, second: CalibratedCamera, points: Arra
 def _off(pose: Array, first: Array, second: Array, focal: float, points: Array) -> Array:
     """Return by how much the second camera sees targets elsewhere than poses of the first predict, rms (images,) px."""
     predicted = poses.compose(first, np.broadcast_to(pose, first.shape))
-    rays = [poses.apply(poses.inverse(camera_pose)[:, None], points) for camera_pose in (predicted, second)]
+    rays = [poses.apply(poses.inverse(places)[:, None], points) for places in (predicted, second)]
     units = [ray / np.linalg.norm(ray, axis=2, keepdims=True) for ray in rays]
     return np.asarray(focal * np.sqrt(((units[0] - units[1]) ** 2).sum(axis=2).mean(axis=1)))
 
@@ -103,9 +103,8 @@ def _by_all(first: CalibratedCamera, second: CalibratedCamera, points: Array) ->
 
     def matching(pose: Array) -> int:
         all_of = (np.broadcast_to(end, first.places.shape) for end in ends)
-        return sum(
-            bool((_off(pose, first.places, pose_of, second.focal, few) <= second.limit).any()) for pose_of in all_of
-        )
+        off = (_off(pose, first.places, places, second.focal, few) for places in all_of)
+        return sum(bool((misfit <= second.limit).any()) for misfit in off)
 
     return max(tried, key=matching)
 

@@ -85,7 +85,7 @@ def system_of(
     # targets placed by a CMM are one frame for all cameras
     order = connected(exposed) if settings.rig != "cmm" else [(c, 0) for c in range(1, len(cameras))]
     size = 1.0
-    each = [_alone(settings.rig, named, of_camera(sighted, exposed, i)) for i, named in enumerate(cameras.items())]
+    each = [_alone(settings.rig, entry, of_camera(sighted, exposed, i)) for i, entry in enumerate(cameras.items())]
     alone = dict(zip(cameras, each, strict=True))
     if settings.rig == "network":
         each = _in_first_frame(each, order)

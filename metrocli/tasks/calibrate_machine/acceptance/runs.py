@@ -45,7 +45,7 @@ def positioning_of(
     reading = float(np.hypot(factor * (own or 0.0), rest / np.sqrt(12)))
     figures, warnings = positioning(runs, LineUncertainty(reading, known.scale))
     found = {"positioning": figures, "positioning_targets": at_targets(runs)}
-    return {name: run for name, run in found.items() if run is not None}, warnings
+    return {name: table for name, table in found.items() if table is not None}, warnings
 
 
 def shown_figures(name: str, table: Table) -> ShownTable:

@@ -176,7 +176,7 @@ def _channels(whole: TrackMeasurement, state: Mapping[str, Block]) -> Array:
     given = [*conditions.values()]
     if "t" in conditions:
         given.append(whole.path.speeds(leg, ways(whole, state), conditions["t"]))
-    return np.concatenate([values, *(values[None] for values in given)])
+    return np.concatenate([values, *(condition[None] for condition in given)])
 
 
 def ways(whole: TrackMeasurement, state: Mapping[str, Block]) -> Array:

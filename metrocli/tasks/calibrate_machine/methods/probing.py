@@ -119,8 +119,8 @@ def _of_other_names(named: Index, at: Index, wrong: Index, names: Sequence[str],
     for first, other in combinations(range(len(names)), 2):
         both = np.isin(named, (first, other))
         if np.isin(np.flatnonzero(both), wrong).all() and (at[both] == first + other - named[both]).all():
-            exchanged = f"{names[first]} and {names[other]} are exchanged"
-            text = f"{exchanged}: the probe finds each at the listed place of the other"
+            pair = names[first], names[other]
+            text = f"{pair[0]} and {pair[1]} are exchanged: the probe finds each at the listed place of the other"
             yield table.fault(text, "exchange their names in the list of the balls, or in the column `ball`")
             wrong = wrong[~both[wrong]]
     for row in wrong[:5].tolist():

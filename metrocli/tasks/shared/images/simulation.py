@@ -83,12 +83,12 @@ def sights(cameras: Sequence[SimulatedCamera], only: Callable[[int], list[int]] 
     for shown in cameras:
         every = np.arange(len(shown.targets.names))
         chosen = [every if only is None else np.array(only(i), dtype=np.intp) for i in range(len(shown.images))]
-        found = [_projected(shown, i, targets_of_image) for i, targets_of_image in enumerate(chosen)]
+        found = [_projected(shown, i, shot) for i, shot in enumerate(chosen)]
         if not any(inside.any() for _, inside in found):
             of = f"camera {shown.name}: " if shown.name else ""
             raise InputError(f"{of}simulation: no target is inside any image; check the poses and the distance")
         views += [np.full(int(inside.sum()), before + i) for i, (_, inside) in enumerate(found)]
-        targets += [targets_of_image[inside] for targets_of_image, (_, inside) in zip(chosen, found, strict=True)]
+        targets += [shot[inside] for shot, (_, inside) in zip(chosen, found, strict=True)]
         points += [uv[inside] for uv, inside in found]
         before += len(shown.images)
     return ExactImagePoints(np.concatenate(views), np.concatenate(targets), np.concatenate(points).T)
