@@ -32,24 +32,28 @@ class ExportFormat:
     recorded: bool = False
     """Whether the files also state what the record of the result holds: job, inputs, certificate"""
     function: str = "files"
-    """Name of its function, where a module has several formats"""
+    """Name of its function, or of the description of the control that is one"""
     nearest: bool = False
     """Whether it takes the largest difference [px] of a camera that its models can only approach"""
 
 
+def _of_control(module: str, summary: str) -> ExportFormat:
+    return ExportFormat(f"metrocli.exports.{module}", summary, function="CONTROL")
+
+
 FORMATS: dict[str, ExportFormat] = {
     "csv": ExportFormat("metrocli.exports.csv_errors", "each table of the result, with units in the header"),
-    "siemens-lec": ExportFormat("metrocli.exports.siemens_lec", "positioning errors for $AA_ENC_COMP"),
-    "siemens-cec": ExportFormat("metrocli.exports.siemens_cec", "all other errors for $AN_CEC, with multiplied tables"),
-    "heidenhain": ExportFormat("metrocli.exports.heidenhain", "tables .COM and .CMA"),
-    "fanuc": ExportFormat("metrocli.exports.fanuc", "increments of pitch error compensation"),
-    "linuxcnc": ExportFormat("metrocli.exports.linuxcnc", "COMP_FILE of each joint"),
-    "isg-csv": ExportFormat("metrocli.exports.isg_csv", "volumetric compensation of ISG and Beckhoff"),
+    "siemens-lec": _of_control("siemens_lec", "positioning errors for $AA_ENC_COMP"),
+    "siemens-cec": _of_control("siemens_cec", "all other errors for $AN_CEC, with multiplied tables"),
+    "heidenhain": _of_control("heidenhain", "tables .COM and .CMA"),
+    "fanuc": _of_control("fanuc", "increments of pitch error compensation"),
+    "linuxcnc": _of_control("linuxcnc", "COMP_FILE of each joint"),
+    "isg-csv": _of_control("isg_csv", "volumetric compensation of ISG and Beckhoff"),
     "kinematics": ExportFormat(
         "metrocli.exports.pivots", "lines of rotary axes, with a test move", function="kinematics"
     ),
     "siemens-trafo5": ExportFormat("metrocli.exports.pivots", "5-axis transformation", function="siemens_trafo5"),
-    "etalon": ExportFormat("metrocli.exports.volumetric", "Etalon exchange format"),
+    "etalon": _of_control("volumetric", "Etalon exchange format"),
     **{
         name: ExportFormat("metrocli.exports.camera_models", f"camera of {program}", function=name, nearest=True)
         for name, program in (

@@ -37,8 +37,6 @@ Texts = Mapping[str, str]
 class CompensationFormat:
     """A compensation format, with a model of the control that reads it."""
 
-    carried: Callable[[ErrorTables], ErrorTables]
-    """Returns the part of the errors that the format can hold"""
     written: Callable[[ErrorTables], Texts]
     """Returns the files; raises InputError if they exceed a limit of the control"""
     read: Callable[[Texts], Any]
@@ -49,8 +47,15 @@ class CompensationFormat:
     """Largest rounding of a written error, mm or deg"""
     coarsened: Callable[[Any], float] = lambda held: 1.0
     """Returns the factor by which the stored tables are coarser than `resolution`"""
+    carried: Callable[[ErrorTables], ErrorTables] = lambda tables: tables
+    """Returns the part of the errors that the format can hold"""
     turns: bool = False
     """Whether it takes the positioning of rotary axes"""
+
+    def __call__(self, result: Result) -> Texts:
+        """Return the files of a result; raises InputError if it has no error tables."""
+        turns = self.turns and "rotary_axes" in result.tables
+        return self.files(positioning_of(result) if turns else of(result))
 
     def files(self, tables: ErrorTables) -> Texts:
         """Return the files, checked on the model of the control.
@@ -99,10 +104,9 @@ def _along(tables: ErrorTables, axes: str, axis: int) -> Array:
     return places
 
 
-def files_of(control: CompensationFormat, result: Any) -> Texts:
-    """Return the files of a result in a format; raises InputError if the result has no error tables."""
-    turns = control.turns and "rotary_axes" in result.tables
-    return control.files(positioning_of(result) if turns else of(result))
+def positioning(tables: ErrorTables) -> ErrorTables:
+    """Return the positioning errors alone."""
+    return tables.only(POSITIONING)
 
 
 def positioning_of(result: Result) -> ErrorTables:

@@ -12,17 +12,12 @@ from metrocli.errors import InputError
 from metrocli.exports import Exported, error_tables
 from metrocli.exports.compensation import CompensationFormat, Texts
 from metrocli.exports.error_tables import AXES, ErrorTable, ErrorTables
-from metrocli.exports.volumetric import chain_note, moved_by_errors
+from metrocli.exports.volumetric import ReadErrors, chain_note, moved_by_errors
 from metrocli.result import Result
 from metrocli.table import Table
 
 _UNITS = {"um": ("length", "errors.csv"), "urad": ("angle", "errors-angles.csv")}
 _SQUARENESS = "errors-squareness.csv"
-
-
-def carried(tables: ErrorTables) -> ErrorTables:
-    """Return all errors: the format holds everything."""
-    return tables
 
 
 def written(tables: ErrorTables) -> Texts:
@@ -62,7 +57,7 @@ def _rows(tables: ErrorTables, name: str, unit: units.Unit) -> Iterable[str]:
         yield f"{name},{at:.6f},{unit.outside(value):.6f},{unit.outside(spread):.6f}"
 
 
-def read(texts: Texts) -> tuple[dict[str, ErrorTable], dict[str, float], list[str]]:
+def read(texts: Texts) -> ReadErrors:
     """Return the curves, the squareness errors and the comments of the files."""
     curves: dict[str, ErrorTable] = {}
     for unit, (dimension, file) in _UNITS.items():
@@ -81,12 +76,7 @@ def _cells(text: str) -> list[list[str]]:
     return [line.split(",") for line in text.splitlines() if not line.startswith("#")][1:]
 
 
-def moved(held: tuple[dict[str, ErrorTable], dict[str, float], list[str]], commanded: Array) -> Array:
-    """Return the movement (n, 3) mm by a control that compensates these errors: the negative error."""
-    return moved_by_errors(*held, commanded)
-
-
-CONTROL = CompensationFormat(carried, written, read, moved, resolution=1e-6)
+CONTROL = CompensationFormat(written, read, moved_by_errors, resolution=1e-6)
 
 
 def files(result: Result) -> Exported:

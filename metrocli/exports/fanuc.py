@@ -18,11 +18,10 @@ import numpy.typing as npt
 
 from metrocli.arrays import Array
 from metrocli.errors import InputError
-from metrocli.exports.compensation import CompensationFormat, Texts, files_of
+from metrocli.exports.compensation import CompensationFormat, Texts
 from metrocli.exports.error_tables import LETTERS, POSITIONING, TURN, ErrorTable, ErrorTables, unit_of
 from metrocli.exports.volumetric import evenly
 from metrocli.frozen import dataclass
-from metrocli.result import Result
 from metrocli.words import listed
 
 MOST_POINTS, MOST_STEP = 128, 7
@@ -220,9 +219,4 @@ def coarsened(held: list[Pitch]) -> float:
     return float(max(pitch.magnification for pitch in held))
 
 
-CONTROL = CompensationFormat(carried, written, read, moved, UNIT, coarsened, turns=True)
-
-
-def files(result: Result) -> Texts:
-    """Return the files of a result."""
-    return files_of(CONTROL, result)
+CONTROL = CompensationFormat(written, read, moved, UNIT, coarsened, carried, turns=True)

@@ -15,9 +15,8 @@ import numpy as np
 
 from metrocli.arrays import Array
 from metrocli.errors import InputError
-from metrocli.exports.compensation import CompensationFormat, Texts, files_of
+from metrocli.exports.compensation import CompensationFormat, Texts
 from metrocli.exports.error_tables import LETTERS, ErrorTable, ErrorTables, unit_of
-from metrocli.result import Result
 
 MOST_POINTS = 256
 """Most entries of a .COM table"""
@@ -95,9 +94,4 @@ def moved(held: Mapping[tuple[str, str], ErrorTable], commanded: Array) -> Array
     return moves
 
 
-CONTROL = CompensationFormat(carried, written, read, moved, resolution=1.6e-4, turns=True)
-
-
-def files(result: Result) -> Texts:
-    """Return the files of a result."""
-    return files_of(CONTROL, result)
+CONTROL = CompensationFormat(written, read, moved, resolution=1.6e-4, carried=carried, turns=True)

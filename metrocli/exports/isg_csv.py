@@ -9,19 +9,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from metrocli.arrays import Array
 from metrocli.errors import InputError
-from metrocli.exports.compensation import CompensationFormat, Texts, files_of
+from metrocli.exports.compensation import CompensationFormat, Texts
 from metrocli.exports.error_tables import AXES, ErrorTable, ErrorTables
-from metrocli.exports.volumetric import chain_note, moved_by_errors, trial_move
-from metrocli.result import Result
+from metrocli.exports.volumetric import ReadErrors, chain_note, moved_by_errors, trial_move
 
 _FILE = "errors.isg.csv"
-
-
-def carried(tables: ErrorTables) -> ErrorTables:
-    """Return all errors: the format holds everything."""
-    return tables
 
 
 def written(tables: ErrorTables) -> Texts:
@@ -49,7 +42,7 @@ def _block(tables: ErrorTables, axis: str) -> list[str]:
     return [" ".join([axis, *names]), *rows]
 
 
-def read(texts: Texts) -> tuple[dict[str, ErrorTable], dict[str, float], list[str]]:
+def read(texts: Texts) -> ReadErrors:
     """Return the curves, the squareness errors and the comments of the file."""
     lines = texts[_FILE].splitlines()
     comments = [line for line in lines if line.startswith("//")]
@@ -66,14 +59,4 @@ def read(texts: Texts) -> tuple[dict[str, ErrorTable], dict[str, float], list[st
     return curves, squareness, comments
 
 
-def moved(held: tuple[dict[str, ErrorTable], dict[str, float], list[str]], commanded: Array) -> Array:
-    """Return the movement (n, 3) mm by the control: the negative error of the rigid-body model."""
-    return moved_by_errors(*held, commanded)
-
-
-CONTROL = CompensationFormat(carried, written, read, moved, resolution=1e-6)
-
-
-def files(result: Result) -> Texts:
-    """Return the files of a result."""
-    return files_of(CONTROL, result)
+CONTROL = CompensationFormat(written, read, moved_by_errors, resolution=1e-6)

@@ -15,9 +15,8 @@ import numpy as np
 
 from metrocli.arrays import Array
 from metrocli.errors import InputError
-from metrocli.exports.compensation import CompensationFormat, Texts, files_of, test_move
-from metrocli.exports.error_tables import LETTERS, POSITIONING, ErrorTable, ErrorTables
-from metrocli.result import Result
+from metrocli.exports.compensation import CompensationFormat, Texts, positioning, test_move
+from metrocli.exports.error_tables import LETTERS, ErrorTable, ErrorTables
 
 MOST_POINTS = 256
 """Most triplets that the loader accepts per joint"""
@@ -26,11 +25,6 @@ _ONE_TURN = (
     "the table of an axis that takes any turn goes from 0 to 360 deg; LinuxCNC does not repeat it: keep the joint "
     "within this turn. A joint has the number of its letter among XYZABC: change it if yours differ"
 )
-
-
-def carried(tables: ErrorTables) -> ErrorTables:
-    """Return the positioning errors."""
-    return tables.only(POSITIONING)
 
 
 def written(tables: ErrorTables) -> Texts:
@@ -88,9 +82,4 @@ def moved(held: Mapping[str, tuple[ErrorTable, ErrorTable]], commanded: Array) -
     return moves
 
 
-CONTROL = CompensationFormat(carried, written, read, moved, resolution=1e-6, turns=True)
-
-
-def files(result: Result) -> Texts:
-    """Return the files of a result."""
-    return files_of(CONTROL, result)
+CONTROL = CompensationFormat(written, read, moved, resolution=1e-6, carried=positioning, turns=True)

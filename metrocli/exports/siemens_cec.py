@@ -16,11 +16,10 @@ import numpy as np
 from metrocli import units
 from metrocli.arrays import Array
 from metrocli.errors import InputError
-from metrocli.exports.compensation import CompensationFormat, Texts, files_of
+from metrocli.exports.compensation import CompensationFormat, Texts
 from metrocli.exports.error_tables import AXES, ErrorTable, ErrorTables
 from metrocli.exports.volumetric import evenly
 from metrocli.frozen import dataclass
-from metrocli.result import Result
 
 MOST_TABLES, MOST_POINTS = 62, 2000
 """Most tables (two for each of 31 axes), and most points of a table (MD18342); an 828D has 8 tables of 200 points"""
@@ -158,9 +157,4 @@ def moved(held: Sequence[CecTable], commanded: Array) -> Array:
     return moves
 
 
-CONTROL = CompensationFormat(carried, written, read, moved, resolution=2e-6)
-
-
-def files(result: Result) -> Texts:
-    """Return the files of a result."""
-    return files_of(CONTROL, result)
+CONTROL = CompensationFormat(written, read, moved, resolution=2e-6, carried=carried)

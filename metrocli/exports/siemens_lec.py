@@ -14,20 +14,14 @@ import numpy as np
 
 from metrocli.arrays import Array
 from metrocli.errors import InputError
-from metrocli.exports.compensation import CompensationFormat, Texts, files_of, test_move
-from metrocli.exports.error_tables import LETTERS, POSITIONING, ErrorTable, ErrorTables, unit_of
+from metrocli.exports.compensation import CompensationFormat, Texts, positioning, test_move
+from metrocli.exports.error_tables import LETTERS, ErrorTable, ErrorTables, unit_of
 from metrocli.exports.volumetric import evenly
-from metrocli.result import Result
 
 MOST_POINTS = 5000
 """Upper limit of MD38000; an 808D takes at most 200"""
 _VALUE = re.compile(r"\$AA_ENC_COMP\[0,(\d+),(\w)1\]=(\S+)")
 _SETTING = re.compile(r"\$AA_ENC_COMP_(STEP|MIN|MAX)\[0,(\w)1\]=(\S+)")
-
-
-def carried(tables: ErrorTables) -> ErrorTables:
-    """Return the positioning errors."""
-    return tables.only(POSITIONING)
 
 
 def written(tables: ErrorTables) -> Texts:
@@ -90,9 +84,4 @@ def moved(held: Mapping[str, ErrorTable], commanded: Array) -> Array:
     return moves
 
 
-CONTROL = CompensationFormat(carried, written, read, moved, resolution=1e-6, turns=True)
-
-
-def files(result: Result) -> Texts:
-    """Return the files of a result."""
-    return files_of(CONTROL, result)
+CONTROL = CompensationFormat(written, read, moved, resolution=1e-6, carried=positioning, turns=True)

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
 
 import numpy as np
 
 from metrocli.arrays import Array
 from metrocli.errors import InputError
-from metrocli.exports.compensation import CompensationFormat, Texts, files_of
+from metrocli.exports.compensation import CompensationFormat, Texts
 from metrocli.exports.error_tables import AXES, ErrorTable, ErrorTables
-from metrocli.result import Result
 
 _EVEN = 1e-6
 """Largest distance [mm] of positions from an even grid"""
@@ -63,30 +61,27 @@ def trial_move(tables: ErrorTables) -> list[str]:
     ]
 
 
-def moved_by_errors(
-    curves: Mapping[str, ErrorTable], squareness: Mapping[str, float], comments: Iterable[str], commanded: Array
-) -> Array:
+ReadErrors = tuple[dict[str, ErrorTable], dict[str, float], list[str]]
+"""Curves, squareness errors, and the comments of the files, as read back"""
+
+
+def moved_by_errors(held: ReadErrors, commanded: Array) -> Array:
     """Return the movement, (n, 3) mm, by a control with the same rigid-body model: the negative error.
 
     Raises ValueError if the comments do not name the order of the axes and the tool.
     """
+    curves, squareness, comments = held
     chain = _CHAIN.search("\n".join(comments))
     if chain is None:
         raise ValueError("the comments do not name the chain")
     tool = (float(chain[2]), float(chain[3]), float(chain[4]))
     ranges = {axis: (float(where.min()), float(where.max())) for axis, where in zip(AXES, commanded.T, strict=True)}
-    held = ErrorTables(dict(curves), dict(squareness), chain[1], tool, ranges)
-    return -held.at(commanded)
+    return -ErrorTables(curves, squareness, chain[1], tool, ranges).at(commanded)
 
 
 _FILE = "errors.etalon.txt"
 _BLOCK = re.compile(r"\[(\w+)\]\s*Gridpoints = \{([^}]*)\}")
 _SINGLE = re.compile(r"\[(\w+)\]\s*VALUE = (\S+)")
-
-
-def carried(tables: ErrorTables) -> ErrorTables:
-    """Return all errors: the format holds everything."""
-    return tables
 
 
 def written(tables: ErrorTables) -> Texts:
@@ -104,7 +99,7 @@ def _block(name: str, curve: ErrorTable) -> str:
     return "\n".join([f"[{name}]", "Gridpoints = {", *rows, f"}} // end of {name}"])
 
 
-def read(texts: Texts) -> tuple[dict[str, ErrorTable], dict[str, float], list[str]]:
+def read(texts: Texts) -> ReadErrors:
     """Return the curves, the squareness errors and the comments of the file."""
     text = texts[_FILE]
     curves = {}
@@ -115,14 +110,4 @@ def read(texts: Texts) -> tuple[dict[str, ErrorTable], dict[str, float], list[st
     return curves, squareness, [line for line in text.splitlines() if line.startswith("//")]
 
 
-def moved(held: tuple[dict[str, ErrorTable], dict[str, float], list[str]], commanded: Array) -> Array:
-    """Return the movement (n, 3) mm by the control: the negative error of the rigid-body model."""
-    return moved_by_errors(*held, commanded)
-
-
-CONTROL = CompensationFormat(carried, written, read, moved, resolution=1e-6)
-
-
-def files(result: Result) -> Texts:
-    """Return the files of a result."""
-    return files_of(CONTROL, result)
+CONTROL = CompensationFormat(written, read, moved_by_errors, resolution=1e-6)
