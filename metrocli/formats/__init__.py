@@ -4,5 +4,5 @@
   `csv_text` find the cells, `csv_columns` the columns
 - `images`: grey values, after `image_headers`; `own_files`: meshes, and files of users that are kept
 - `hdf5`: a result. `hdf5_writing` in memory, then `seal`, then `file_bytes`, which renames a finished file; back
-  by `hdf5_reading`, which checks `covariances`
+  by `hdf5_reading`
 """

@@ -19,7 +19,7 @@ from metrocli.uncertainty.calibrated_machine import has_machine
 from metrocli.uncertainty.numbers import COVERAGE, effective, factor
 from metrocli.uncertainty.predicted import PredictedPlaces
 from metrocli.units import find_unit
-from metrocli.units.ranges import Range, range_of
+from metrocli.units.parsing import Range, range_of
 
 _ROUNDING = 1e-9
 """Share of the largest eigenvalue of a covariance below which others are rounding, and rounding of coordinates [mm]"""

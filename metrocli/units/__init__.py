@@ -1,16 +1,23 @@
 """Units: the closed table of units, and conversion from text to quantities and back. No other package converts."""
 
 from metrocli.units.parsing import (
+    LARGEST,
+    OVERLOAD,
+    SMALLEST,
+    Range,
     as_stated,
     find_unit,
+    in_words,
     internal_unit,
     is_inch,
     parse_quantity,
     plain_symbol,
     quantity_pattern,
+    range_of,
     suffix_of,
     suffixes,
     unit_meant,
+    up_to,
     written_unit,
 )
 from metrocli.units.people import (
@@ -26,7 +33,6 @@ from metrocli.units.people import (
     two_digits,
     with_std,
 )
-from metrocli.units.ranges import LARGEST, OVERLOAD, SMALLEST, Range, in_words, range_of, up_to
 from metrocli.units.table import DIMENSIONS, INCH, Dimension, QuantityError, Unit
 
 __all__ = [

@@ -16,7 +16,7 @@ from metrocli.result import Result
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine import task as calibrate_machine
 from metrocli.tasks.multilaterate import task as multilaterate
-from metrocli.tasks.multilaterate.distance import distance
+from metrocli.tasks.multilaterate.layout import distance
 from metrocli.uncertainty.numbers import COVERAGE, factor
 from metrocli.uncertainty.verification import columns_for, verify
 

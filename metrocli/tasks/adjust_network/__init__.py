@@ -1,6 +1,6 @@
 """adjust-network: points and stations of a network of trackers, total stations, interferometers, bars and levels.
 
-`readings` (`sightings`, `known_points`) -> `starts` -> `unknowns` (blocks), `groups`, `datum`, `noise` ->
+`readings` (`sightings`) -> `starts` -> `unknowns` (blocks), `groups`, `datum`, `noise` ->
 `problem` -> `solve` -> `report` (stations by `placed`). `other_settings`: mistakes in the files that the readings
 contradict.
 """

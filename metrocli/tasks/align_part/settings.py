@@ -41,7 +41,7 @@ from metrocli.tasks.shared.images.settings import (
 from metrocli.tasks.shared.images.target_list import TARGETS
 from metrocli.tasks.shared.noise import NOISE_HELP
 from metrocli.tasks.shared.part import Part
-from metrocli.units.ranges import Range, range_of
+from metrocli.units.parsing import Range, range_of
 
 POSES = Columns(
     columns("image [text]", "x y z [length]", "a? b? c? [angle]", "t? [time]", "temp? [temperature]"),

@@ -20,11 +20,10 @@ from metrocli.tasks.calibrate_machine.methods.on_the_fly import measurement, on_
 from metrocli.tasks.calibrate_machine.methods.poses import problem_at
 from metrocli.tasks.calibrate_machine.methods.six_dof import six_dof
 from metrocli.tasks.calibrate_machine.other_settings import other_settings
-from metrocli.tasks.calibrate_machine.plans.lines import plan_of_lines
 from metrocli.tasks.calibrate_machine.plans.planned import plan_of_path
 from metrocli.tasks.calibrate_machine.plans.poses import plan_of_poses
 from metrocli.tasks.calibrate_machine.plans.stations import plan_of_stations
-from metrocli.tasks.calibrate_machine.plans.stops import plan_of_points
+from metrocli.tasks.calibrate_machine.plans.stops import plan_of_lines, plan_of_points
 from metrocli.tasks.calibrate_machine.problem import MachineProblem
 from metrocli.tasks.calibrate_machine.report import report
 from metrocli.tasks.calibrate_machine.settings import LENGTHS, ON_THE_FLY, SIX_DOF, STANDSTILL, TURNING, Settings

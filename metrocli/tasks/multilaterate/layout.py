@@ -1,8 +1,11 @@
-"""A planned measurement of lengths: which tracer reads which point, what follows, and places for one more tracer."""
+"""A planned measurement of lengths: which tracer reads which point, what follows, and places for one more tracer.
+
+The distance of two points has its uncertainty from their joint covariance, also in a result.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 
@@ -12,11 +15,11 @@ from metrocli.adjust.adjustment import covariance_at
 from metrocli.adjust.solution import Solution
 from metrocli.arrays import Array, Index, Values
 from metrocli.effects.requested import RequestedEffect
-from metrocli.errors import InputError
+from metrocli.errors import InputError, UsageError
 from metrocli.frozen import dataclass
 from metrocli.instruments import tracer as t
+from metrocli.result import Estimate, Result
 from metrocli.table import Table
-from metrocli.tasks.multilaterate.distance import between_two
 from metrocli.tasks.multilaterate.layout_faults import is_determined
 from metrocli.tasks.multilaterate.problem import TracerNetwork, network_of
 from metrocli.tasks.multilaterate.readings import read as read_lengths
@@ -26,6 +29,7 @@ from metrocli.tasks.shared.joint_covariance import factors
 from metrocli.tasks.shared.lists import matched
 from metrocli.tasks.shared.part import Part
 from metrocli.uncertainty.predicted import COMMON, CORE
+from metrocli.words import suggestion
 
 _REFERENCE_DEGC = 20.0
 """Temperature at the first point (ISO 1)"""
@@ -247,3 +251,35 @@ def _part(layout: PlannedNetwork) -> PlannedNetwork:
     even = np.linspace(0, n - 1, _MOST).astype(np.intp)
     chosen = np.union1d(even, np.flatnonzero(~layout.network.unknown))
     return replace(layout, planned=layout.planned.of_points(chosen))
+
+
+def distance(result: Result, first: str, second: str) -> Estimate:
+    """Return the distance of two points of a result with its standard uncertainty.
+
+    Raises UsageError if the result lacks one of the points, InputError if it lacks the covariance between points.
+    """
+    if "points" not in result.tables or COMMON not in result.arrays:
+        raise InputError("the result does not hold the covariance between points (too many points, or another kind)")
+    names = result.tables["points"].texts("point")
+    for name in (first, second):
+        if name not in names:
+            raise UsageError(f"the result has no point '{name}'; {suggestion(name, names)}")
+    if first == second:
+        raise UsageError(f"a distance is between two points; '{first}' is named twice")
+    rows = [names.index(first), names.index(second)]
+    places, own = result.tables["points"].stacked("xyz")[rows], result.arrays["points_covariance"][rows]
+    length, std = between_two(places, own, {COMMON: result.arrays[COMMON][rows], CORE: result.arrays[CORE]})
+    return Estimate(f"{first} - {second}", length, std, "mm")
+
+
+def between_two(places: Array, own: Array, shared: Mapping[str, Array]) -> tuple[float, float]:
+    """Return the distance of two points and its standard uncertainty, from their `factors`.
+
+    `u^2 = e' (Q_aa + Q_bb - Q_ab - Q_ba) e`, e the unit vector between them; places (2, 3), own covariances (2, 3, 3).
+    """
+    away = places[0] - places[1]
+    length = float(np.linalg.norm(away))
+    both = shared[COMMON][0] @ shared[CORE] @ shared[COMMON][1].T
+    direction = away / length if length else away
+    variance = direction @ (own[0] + own[1] - both - both.T) @ direction
+    return length, float(np.sqrt(max(variance, 0.0)))

@@ -14,9 +14,8 @@ from metrocli.simulation import Simulation, SimulationOptions
 from metrocli.tasks.job import Job, Task
 from metrocli.tasks.multilaterate.correction import list_offset, probing_of, refuse_lost
 from metrocli.tasks.multilaterate.diagnosis import adjusted_job, covariates, noise_of
-from metrocli.tasks.multilaterate.distance import distance
 from metrocli.tasks.multilaterate.effects import EFFECTS, PLACES
-from metrocli.tasks.multilaterate.layout import PlannedNetwork, PlannedPoints
+from metrocli.tasks.multilaterate.layout import PlannedNetwork, PlannedPoints, distance
 from metrocli.tasks.multilaterate.plan import planned
 from metrocli.tasks.multilaterate.problem import build, network_of
 from metrocli.tasks.multilaterate.readings import read

@@ -12,7 +12,7 @@ from metrocli.result import Result
 from metrocli.simulation import SimulationOptions
 from metrocli.table import Table
 from metrocli.tasks.multilaterate import task as multilaterate
-from metrocli.tasks.multilaterate.distance import distance
+from metrocli.tasks.multilaterate.layout import distance
 from metrocli.tasks.multilaterate.settings import LengthSimulation, Settings
 from metrocli.tasks.shared.lengths import Scale
 

@@ -20,7 +20,7 @@ from metrocli.simulation import SimulationOptions
 from metrocli.table import Table
 from metrocli.tasks.multilaterate import settings as length_job
 from metrocli.tasks.multilaterate import task as multilaterate
-from metrocli.tasks.multilaterate.distance import distance
+from metrocli.tasks.multilaterate.layout import distance
 from metrocli.tasks.multilaterate.settings import PROBING, Correction, LengthSimulation
 
 SAMPLE = SAMPLES / "gear-m3d3"

@@ -17,7 +17,7 @@ from metrocli.record import Record
 from metrocli.result import Result
 from metrocli.table import Table
 from metrocli.tasks.multilaterate import task as multilaterate
-from metrocli.tasks.multilaterate.distance import distance
+from metrocli.tasks.multilaterate.layout import distance
 from metrocli.tasks.multilaterate.problem import build
 from metrocli.tasks.multilaterate.settings import Files
 from metrocli.tasks.multilaterate.solve import solve

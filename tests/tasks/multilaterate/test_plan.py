@@ -30,7 +30,7 @@ from metrocli.plan import Plan
 from metrocli.settings import KnownQuantity
 from metrocli.table import Table
 from metrocli.tasks.multilaterate import task as multilaterate
-from metrocli.tasks.multilaterate.distance import distance
+from metrocli.tasks.multilaterate.layout import distance
 from metrocli.tasks.shared.part import Part
 
 

@@ -24,7 +24,7 @@ from metrocli.table import Table
 from metrocli.tasks.calibrate_machine import task as calibrate_machine
 from metrocli.tasks.locate_launch_unit import task as locate_launch_unit
 from metrocli.tasks.multilaterate import task as multilaterate
-from metrocli.tasks.multilaterate.distance import distance
+from metrocli.tasks.multilaterate.layout import distance
 from metrocli.tasks.multilaterate.settings import POINTS
 from metrocli.tasks.shared.environment import Assumed, Environment
 

@@ -15,7 +15,7 @@ from metrocli.result import Result
 from metrocli.settings import KnownQuantity
 from metrocli.table import Table
 from metrocli.tasks.multilaterate import task as multilaterate
-from metrocli.tasks.multilaterate.distance import distance
+from metrocli.tasks.multilaterate.layout import distance
 from metrocli.tasks.shared.part import Part
 
 STEEL = Part(KnownQuantity(22.1), KnownQuantity(11.5e-6, 1e-6))
