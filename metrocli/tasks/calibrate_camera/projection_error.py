@@ -6,7 +6,7 @@ import numpy as np
 
 from metrocli.adjust.solution import Solution
 from metrocli.arrays import Array, Index
-from metrocli.effects.links.lens_shape import SHAPE, LensShape
+from metrocli.effects.links.lens_shape import LensShape
 from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.instruments import camera
@@ -15,7 +15,7 @@ from metrocli.instruments.lenses.lens import equidistant, focal, ideal_point, im
 from metrocli.table import Table
 from metrocli.tasks.calibrate_camera.lens_conventions import coverage
 from metrocli.tasks.calibrate_camera.problem import CameraProblem
-from metrocli.tasks.calibrate_camera.shape.found import by_shape, link_of
+from metrocli.tasks.calibrate_camera.shape.found import by_shape
 from metrocli.tasks.shared.statistics import Statistics
 from metrocli.units.people import two_digits
 
@@ -35,20 +35,27 @@ _MULTIPLES = np.linspace(0.01, 4.0, 400)
 """Directions that are tried for an image point, as multiples of its direction without distortion"""
 
 
-def coverage_statistics(problem: CameraProblem, solution: Solution, readings: Array) -> Statistics:
-    """Return the statistics of how much of the image the readings (2, n) cover, and how well it is known beyond.
+@dataclass(frozen=True)
+class SolvedCamera:
+    """A camera of a solution, or one of several, with its readings."""
+
+    name: str
+    """Empty for a single one"""
+    number: int
+    """Of its member of the block of lenses"""
+    convention: str
+    size: tuple[int, int]
+    shape: LensShape | None
+    readings: Array
+    """Image points (2, n) [px]"""
+
+
+def coverage_statistics(solution: Solution, solved: SolvedCamera) -> Statistics:
+    """Return the statistics of how much of the image the readings cover, and how well it is known beyond.
 
     `corner_std` [px] is the largest standard uncertainty of the image of a fixed direction in a corner of the image.
     """
-    return _statistics(_of_single(problem, solution, readings), problem.image_size)
-
-
-def coverage_statistics_of_member(solution: Solution, member: CameraOfSystem, readings: Array) -> Statistics:
-    """Return the statistics `coverage_statistics` of one of several cameras; `readings` are its own."""
-    return _statistics(_of_member(solution, member, readings), member.size)
-
-
-def _statistics(projection: _Projection, size: tuple[int, int]) -> Statistics:
+    projection, size = _projection(solution, solved), solved.size
     lens = projection.lens.named(projection.lens.values)
     corners = np.array([[x, y] for x in (0, size[0] - 1) for y in (0, size[1] - 1)], dtype=float).T
     return {
@@ -59,58 +66,24 @@ def _statistics(projection: _Projection, size: tuple[int, int]) -> Statistics:
     }
 
 
-def projection_table(problem: CameraProblem, solution: Solution, readings: Array, depth: float) -> Table:
+def projection_table(solution: Solution, solved: SolvedCamera, depth: float) -> Table:
     """Return u, v and the standard uncertainty [px] of the images of fixed points at a distance, over the image."""
-    return Table.of(_over_image(_of_single(problem, solution, readings), problem.image_size, depth))
-
-
-@dataclass(frozen=True)
-class CameraOfSystem:
-    """One of several cameras: name and number of its member of the block of lenses, convention, size and shape."""
-
-    name: str
-    number: int
-    convention: str
-    size: tuple[int, int]
-    shape: LensShape | None = None
-
-
-def projection_table_of_member(solution: Solution, member: CameraOfSystem, readings: Array, depth: float) -> Table:
-    """Return the table `projection_table` of one of several cameras, with its name."""
-    columns = _over_image(_of_member(solution, member, readings), member.size, depth)
-    return Table.of({"camera [text]": [member.name] * (_GRID[0] * _GRID[1]), **columns})
-
-
-def _of_member(solution: Solution, member: CameraOfSystem, readings: Array) -> _Projection:
-    """Return the projection by one of several cameras, with the shape of its lens."""
-    lens = solution.blocks[camera.LENS]
-    free = np.flatnonzero(lens.free[member.number])
-    derivatives = _LensDerivatives(member.convention, lens.columns, lens.values[member.number])
-    return _Projection(derivatives, free, _with_shape(solution, member, free), readings, member.shape)
-
-
-def _with_shape(solution: Solution, member: CameraOfSystem, free: Index) -> Array:
-    """Return the covariance of the free parameters of one of several lenses and of its shape."""
-    covariance, size = solution.covariance_or_raise(), len(solution.blocks[camera.LENS].columns)
-    of_lens = covariance.members(camera.LENS)[member.number][np.ix_(free, free)]
-    if member.shape is None:
-        return np.asarray(of_lens)
-    cross = covariance.between(camera.LENS, member.shape.block)[member.number * size + free]
-    return np.asarray(np.block([[of_lens, cross], [cross.T, covariance.of(member.shape.block)]]))
-
-
-def _over_image(projection: _Projection, size: tuple[int, int], depth: float) -> dict[str, Array]:
-    axes = [np.linspace(0, extent - 1, n) for extent, n in zip(size, _GRID, strict=True)]
+    axes = [np.linspace(0, extent - 1, n) for extent, n in zip(solved.size, _GRID, strict=True)]
     uv = np.stack([grid.ravel() for grid in np.meshgrid(*axes)])
-    return {"u v [px]": uv.T, "std [px]": projection.std(uv, depth)}
+    name = {"camera [text]": [solved.name] * uv.shape[1]} if solved.name else {}
+    return Table.of({**name, "u v [px]": uv.T, "std [px]": _projection(solution, solved).std(uv, depth)})
 
 
-def _of_single(problem: CameraProblem, solution: Solution, readings: Array) -> _Projection:
-    """Return the projection by a camera that is calibrated alone, with the shape of its lens."""
-    lens, link = solution.blocks[camera.LENS], link_of(problem)
-    covariance = solution.joint((camera.LENS, *([SHAPE] if link is not None else [])))
-    derivatives = _LensDerivatives(problem.convention, lens.columns, lens.values[0])
-    return _Projection(derivatives, np.flatnonzero(lens.free[0]), covariance, readings, link)
+def _projection(solution: Solution, solved: SolvedCamera) -> _Projection:
+    """Return the projection by a camera, with the shape of its lens."""
+    lens, covariance = solution.blocks[camera.LENS], solution.covariance_or_raise()
+    free = np.flatnonzero(lens.free[solved.number])
+    joint = np.asarray(covariance.members(camera.LENS)[solved.number][np.ix_(free, free)])
+    if solved.shape is not None:
+        cross = covariance.between(camera.LENS, solved.shape.block)[solved.number * len(lens.columns) + free]
+        joint = np.block([[joint, cross], [cross.T, covariance.of(solved.shape.block)]])
+    derivatives = _LensDerivatives(solved.convention, lens.columns, lens.values[solved.number])
+    return _Projection(derivatives, free, joint, solved.readings, solved.shape)
 
 
 @dataclass(frozen=True)

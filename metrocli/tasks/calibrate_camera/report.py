@@ -15,22 +15,14 @@ from metrocli.instruments import camera
 from metrocli.result import Result, ShownTable
 from metrocli.table import Table
 from metrocli.tasks.calibrate_camera import KIND
-from metrocli.tasks.calibrate_camera.advice import (
-    correlation_warnings,
-    folds,
-    seen_from_behind,
-    turned_too_little,
-)
+from metrocli.tasks.calibrate_camera.advice import correlation_warnings, folds, seen_from_behind, turned_too_little
 from metrocli.tasks.calibrate_camera.diagnosis import uncontrolled
 from metrocli.tasks.calibrate_camera.doubts import PrincipalPoint, principal_point, why_not
 from metrocli.tasks.calibrate_camera.length_errors import LengthErrors, length_errors
-from metrocli.tasks.calibrate_camera.lens_conventions import (
-    conventions_table,
-    form_covariance,
-    photogrammetric_form,
-)
+from metrocli.tasks.calibrate_camera.lens_conventions import conventions_table, form_covariance, photogrammetric_form
 from metrocli.tasks.calibrate_camera.problem import CameraProblem
 from metrocli.tasks.calibrate_camera.projection_error import (
+    SolvedCamera,
     angle_warnings,
     corner_warnings,
     coverage_note,
@@ -39,7 +31,7 @@ from metrocli.tasks.calibrate_camera.projection_error import (
 )
 from metrocli.tasks.calibrate_camera.readings import longer_than_listed, units_doubted
 from metrocli.tasks.calibrate_camera.settings import CameraSettings, Settings
-from metrocli.tasks.calibrate_camera.shape.found import shape_arrays, shape_notes, shape_rms, shape_table
+from metrocli.tasks.calibrate_camera.shape.found import link_of, shape_arrays, shape_notes, shape_rms, shape_table
 from metrocli.tasks.shared.images.adjustment import AdjustedImages
 from metrocli.tasks.shared.images.camera_parameters import Parameters, parameters, pose_columns, unit_of
 from metrocli.tasks.shared.images.tables import (
@@ -74,6 +66,11 @@ class _Calibration:
     @property
     def lens(self) -> Block:
         return self.solution.blocks[camera.LENS]
+
+    @property
+    def seen(self) -> SolvedCamera:
+        problem, readings = self.problem, self.adjusted.group.observations.readings
+        return SolvedCamera("", 0, problem.convention, problem.image_size, link_of(problem), readings)
 
     def index(self, name: str) -> Index:
         return self.adjusted.group.observations.index[name]
@@ -141,7 +138,7 @@ def _tables_and_arrays(solved: _Calibration, hidden: Table) -> tuple[dict[str, T
     }
     tables["targets"] = with_places(tables["targets"], solution)
     depth = float(np.median(np.abs(depths(adjusted.group, solution))))
-    tables["projection_error"] = projection_table(problem, solution, adjusted.group.observations.readings, depth)
+    tables["projection_error"] = projection_table(solution, solved.seen, depth)
     if problem.rig == "cmm":
         del tables["views"]  # the machine gives their poses: they are no unknowns
     else:
@@ -177,7 +174,7 @@ def _statistics(solved: _Calibration) -> Statistics:
         "rejected": len(adjusted.rejected),
         "images": len(problem.sighted.images),
         "targets": len(np.unique(observations.index[camera.TARGET])),
-        **coverage_statistics(problem, solution, observations.readings),
+        **coverage_statistics(solution, solved.seen),
         "shape_rms": shape_rms(problem, solution),
         "sigma0_low": low,
         "sigma0_high": high,

@@ -1,26 +1,39 @@
-"""The truth behind a simulated calibration: where the camera takes its images, and when."""
+"""A simulated calibration of a camera, or of several that are fixed to each other, and the truth behind it."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from metrocli.arrays import Array, Index
 from metrocli.effects.model import Model, Place
-from metrocli.errors import InputError
+from metrocli.errors import InputError, UsageError
 from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.geometry.rotations import rotation_from_euler, rotation_from_vector
 from metrocli.instruments import camera
+from metrocli.simulation import Simulation, SimulationOptions
 from metrocli.table import Table
 from metrocli.tasks.calibrate_camera.multi_camera.truth import CameraSimulation
 from metrocli.tasks.calibrate_camera.readings import ends_of
-from metrocli.tasks.calibrate_camera.settings import Files, Settings
+from metrocli.tasks.calibrate_camera.settings import CameraSettings, Files, OneOfSeveral, Settings
+from metrocli.tasks.job import Job
 from metrocli.tasks.shared.images.adjustment import IMAGES
-from metrocli.tasks.shared.images.simulation import ExactImagePoints, SimulatedCamera, image_group, true_targets
+from metrocli.tasks.shared.images.settings import Extrinsics, LensValues
+from metrocli.tasks.shared.images.simulation import (
+    ExactImagePoints,
+    SimulatedCamera,
+    image_group,
+    pictures,
+    planted,
+    sightings_table,
+    sights,
+    true_targets,
+)
 from metrocli.tasks.shared.images.target_list import TargetCoordinates, known_targets
+from metrocli.tasks.shared.lists import listed_places
 
 _FIRST_TEMPERATURE = 20.0
 """At the first image [degC] (ISO 1)"""
@@ -31,6 +44,73 @@ _ROUGH = 0.2
 """Error of a listed distance relative to its calibrated length, beyond which one of the two is a mistake"""
 _SETTLED = 1e-9
 """Move of a place [mm] at which the iteration ends"""
+
+
+def simulate(job: Job[Settings, Files], options: SimulationOptions) -> Simulation:
+    """Return the image points that the cameras of `simulation:` would measure, with noise and effects.
+
+    Pictures are added if the options ask for them. Raises InputError if the truth or a size of images is missing, or if
+    a camera sees no target, and UsageError for effects on several cameras.
+    """
+    settings, truth = job.settings, job.settings.simulation
+    cameras: Mapping[str, CameraSettings] = {"": settings.camera} if settings.cameras is None else settings.cameras
+    if truth is None or any(given.image_size is None for given in cameras.values()) or not _lenses(settings, truth):
+        of_one = "`simulation: {lens: {f: 2800 px, ...}}` and camera: image_size"
+        of_each = "`simulation: {cameras: {NAME: {lens: {f: 2800 px, ...}}, ...}}` and the image_size of each camera"
+        raise InputError(f"simulate needs the truth: give {of_one if settings.cameras is None else of_each}")
+    if settings.cameras is not None and job.effects:
+        raise UsageError("effects are planted in the images of a single camera: leave them out, or write `camera:`")
+    rng = np.random.default_rng(options.seed)
+    known = simulated_targets(settings, job.files, rng)
+    views = simulated_views(settings.rig, truth, known, rng)
+    times, shown = conditions(truth, len(views.images)), list[SimulatedCamera]()
+    for name, lens in _lenses(settings, truth).items():
+        given, images, to_camera = cameras[name], views.images, views.to_camera
+        width, height = given.image_size or (0, 0)
+        if isinstance(given, OneOfSeveral):
+            images = tuple(given.images.replace("*", image.removesuffix(".png")) for image in images)
+            to_camera = poses.compose(_into(truth, name, len(images)), to_camera)
+        values = {"cx": (width - 1) / 2, "cy": (height - 1) / 2, **lens.given()}
+        shown.append(SimulatedCamera(values, (width, height), images, to_camera, known, given.convention, times, name))
+    seen, of_effects = sights(shown, views.only), dict[str, float]()
+    if settings.cameras is None:
+        seen, of_effects = planted(true_model(settings.rig, shown[0], seen), seen, job.effects)
+    files = {"observations.csv": sightings_table(shown, seen, settings.noise, rng)}
+    if settings.rig == "network":
+        files["true_points.csv"] = listed_places("point", known.names, known.points)
+    elif job.files.targets is None:
+        files["targets.csv"] = listed_places("target", known.names, known.points)
+    drawn = pictures(shown, settings.pattern if options.images else None, rng, views.only, job.effects)
+    return Simulation(files, _true_values(shown, truth) | of_effects, drawn)
+
+
+def _lenses(settings: Settings, truth: CameraSimulation) -> Mapping[str, LensValues]:
+    """Return the true lens of each camera by its name, that of a single one without a name; none if it is missing."""
+    if settings.cameras is not None:
+        return {name: camera.lens for name, camera in (truth.cameras or {}).items()}
+    return {} if truth.lens is None else {"": truth.lens}
+
+
+def _into(truth: CameraSimulation, name: str, count: int) -> Array:
+    """Return the pose that takes points of the first camera's frame into a camera's, at each exposure (count, 6)."""
+    at = (truth.cameras or {})[name].extrinsics
+    return np.zeros((count, 6)) if at is None else np.broadcast_to(_into_camera(at), (count, 6))
+
+
+def _into_camera(at: Extrinsics) -> Array:
+    """Return the pose that takes points of the reference frame into the frame of a camera, (6,)."""
+    values = np.array([getattr(at, name) for name in poses.EULER])
+    return poses.inverse(poses.pose_from_euler(values[:3], values[3:]))
+
+
+def _true_values(shown: Sequence[SimulatedCamera], truth: CameraSimulation) -> dict[str, float]:
+    """Return lens and pose of each camera by the names of the estimates; the pose of the first is that of the rig."""
+    lenses = [(f"{camera.name}." if camera.name else "", camera.lens) for camera in shown]
+    values = {prefix + key: value for prefix, lens in lenses for key, value in lens.items()}
+    places = [camera.extrinsics for camera in (truth.cameras or {}).values()]
+    for (prefix, _), at in zip(lenses, [truth.extrinsics, *places[1:]], strict=True):
+        values |= {prefix + key: float(getattr(at, key)) for key in poses.EULER if at is not None}
+    return values
 
 
 def conditions(truth: CameraSimulation, images: int) -> dict[str, Array]:
@@ -128,10 +208,8 @@ def simulated_views(rig: str, truth: CameraSimulation, known: TargetCoordinates,
     if rig == "cmm":
         if truth.extrinsics is None:
             raise InputError("simulation: rig cmm needs extrinsics: where the camera is in the reference frame")
-        at = np.array([getattr(truth.extrinsics, name) for name in poses.EULER])
-        back = poses.inverse(poses.pose_from_euler(at[:3], at[3:]))
         names = tuple(f"{name}.png" for name in known.names)
-        return Views(names, np.broadcast_to(back, (len(names), 6)), lambda image: [image])
+        return Views(names, np.broadcast_to(_into_camera(truth.extrinsics), (len(names), 6)), lambda image: [image])
     n = truth.images
     axis, tilt, roll = (
         rng.uniform(0, 2 * np.pi, n),

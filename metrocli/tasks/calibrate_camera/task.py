@@ -5,17 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 
-import numpy as np
-
 from metrocli.adjust.clusters.robust import FROM_RESIDUALS, STRUCTURED, must_suffice
 from metrocli.adjust.outcome import Outcome
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.corrections import Mistake
 from metrocli.errors import InputError, UndeterminedError, UsageError
-from metrocli.geometry import poses
 from metrocli.imageset import ImageSet
 from metrocli.result import Result
-from metrocli.simulation import Simulation, SimulationOptions
 from metrocli.table import Table
 from metrocli.tasks.calibrate_camera import other_lenses
 from metrocli.tasks.calibrate_camera.advice import explained, ran_out, strange_images
@@ -27,29 +23,20 @@ from metrocli.tasks.calibrate_camera.length_errors import must_not_be_used
 from metrocli.tasks.calibrate_camera.multi_camera import task as multi_camera
 from metrocli.tasks.calibrate_camera.multi_camera.alone import pinholes
 from metrocli.tasks.calibrate_camera.multi_camera.paired import as_several
-from metrocli.tasks.calibrate_camera.multi_camera.simulation import simulate as several_simulated
 from metrocli.tasks.calibrate_camera.other_lenses import fisheye_instead, other_models
 from metrocli.tasks.calibrate_camera.problem import CameraProblem
 from metrocli.tasks.calibrate_camera.report import report
 from metrocli.tasks.calibrate_camera.settings import FEWEST, CameraSettings, Files, Settings
 from metrocli.tasks.calibrate_camera.shape.effect import beside_base
 from metrocli.tasks.calibrate_camera.shape.spline import with_shape
-from metrocli.tasks.calibrate_camera.simulation import conditions, simulated_targets, simulated_views, true_model
+from metrocli.tasks.calibrate_camera.simulation import simulate
 from metrocli.tasks.job import Job, Task
 from metrocli.tasks.shared.images.adjustment import AdjustedImages, Options, adjust_images, must_converge
 from metrocli.tasks.shared.images.camera_parameters import delivered
 from metrocli.tasks.shared.images.places import not_sought
 from metrocli.tasks.shared.images.settings import ESTIMATE, SPLINE
 from metrocli.tasks.shared.images.sightings import Needs, sightings
-from metrocli.tasks.shared.images.simulation import (
-    SimulatedCamera,
-    pictures,
-    planted,
-    sightings_table,
-    sights,
-)
 from metrocli.tasks.shared.images.tables import root_mean_square
-from metrocli.tasks.shared.lists import listed_places
 
 
 def run(job: Job[Settings, Files]) -> Result:
@@ -157,41 +144,6 @@ def solved(settings: Settings, problem: CameraProblem) -> AdjustedImages:
         other = fisheye_instead(problem, settings.camera, off)
         must_converge(solution, (*other, *strange_images(problem, problem.images)))
     return adjusted
-
-
-def simulate(job: Job[Settings, Files], options: SimulationOptions) -> Simulation:
-    """Return the image points that the camera of `simulation:` would measure, with noise and effects.
-
-    Pictures are added if the options ask for them. Raises InputError if the truth or the image size is missing.
-    """
-    settings, effects = job.settings, job.effects
-    if settings.cameras is not None:
-        return several_simulated(job, settings.cameras, options)
-    truth, size = settings.simulation, settings.camera.image_size
-    if truth is None or truth.lens is None or size is None:
-        raise InputError(
-            "simulate needs the truth: give `simulation: {lens: {f: 2800 px, ...}}` and camera: image_size"
-        )
-    rng = np.random.default_rng(options.seed)
-    network = settings.rig == "network"
-    known = simulated_targets(settings, job.files, rng)
-    views = simulated_views(settings.rig, truth, known, rng)
-    lens = {"cx": (size[0] - 1) / 2, "cy": (size[1] - 1) / 2, **truth.lens.given()}
-    times = conditions(truth, len(views.images))
-    shown = SimulatedCamera(lens, size, views.images, views.to_camera, known, settings.camera.convention, times)
-    seen = sights([shown], views.only)
-    seen, values = planted(true_model(settings.rig, shown, seen), seen, effects)
-    table = sightings_table([shown], seen, settings.noise, rng)
-    drawn = pictures([shown], settings.pattern if options.images else None, rng, views.only, effects)
-    true = dict(lens)
-    if truth.extrinsics is not None:
-        true |= {name: float(getattr(truth.extrinsics, name)) for name in poses.EULER}
-    files = {"observations.csv": table}
-    if network:
-        files["true_points.csv"] = listed_places("point", known.names, known.points)
-    elif job.files.targets is None:
-        files["targets.csv"] = listed_places("target", known.names, known.points)
-    return Simulation(files, true | values, drawn)
 
 
 TASK = Task(

@@ -9,7 +9,7 @@ import numpy as np
 from metrocli import units
 from metrocli.adjust.solution import Residuals, Solution
 from metrocli.arrays import Array
-from metrocli.effects.estimates import estimates, free_blocks
+from metrocli.effects.estimates import free_blocks
 from metrocli.effects.estimates import tables as effect_results
 from metrocli.effects.links.lens_shape import LensShape
 from metrocli.geometry import poses
@@ -24,25 +24,18 @@ from metrocli.tasks.calibrate_camera.length_errors import length_errors
 from metrocli.tasks.calibrate_camera.multi_camera.alone import doubts_and_warnings, view_warnings, views_of
 from metrocli.tasks.calibrate_camera.multi_camera.system import CameraSystem
 from metrocli.tasks.calibrate_camera.projection_error import (
-    CameraOfSystem,
+    SolvedCamera,
     corner_warnings,
     coverage_note,
-    coverage_statistics_of_member,
-    projection_table_of_member,
+    coverage_statistics,
+    projection_table,
 )
 from metrocli.tasks.calibrate_camera.settings import Files, Settings
 from metrocli.tasks.calibrate_camera.shape.found import coefficients, rms_of
 from metrocli.tasks.job import Job
 from metrocli.tasks.shared.images.adjustment import AdjustedImages
 from metrocli.tasks.shared.images.calibrated import CAMERAS, LENS_SHAPE
-from metrocli.tasks.shared.images.camera_parameters import (
-    POSE_UNITS,
-    Parameters,
-    in_diagonal,
-    pose_columns,
-    unit_of,
-    with_effects,
-)
+from metrocli.tasks.shared.images.camera_parameters import Parameters, parameters_of, pose_columns, unit_of
 from metrocli.tasks.shared.images.exposures import IMAGE
 from metrocli.tasks.shared.images.settings import SPLINE
 from metrocli.tasks.shared.images.tables import (
@@ -150,10 +143,10 @@ def _projection_error(system: CameraSystem, adjusted: AdjustedImages) -> tuple[T
     for number, name in enumerate(solution.blocks[camera.LENS].members):
         rows = camera_of == number
         shape = next((shape for shape in system.shapes if shape.member == number), None)
-        readings = observations.readings[:, rows]
-        member = CameraOfSystem(name, number, system.conventions[number], system.size(name), shape)
-        tables.append(projection_table_of_member(solution, member, readings, float(np.median(depth[rows]))))
-        coverages[name] = coverage_statistics_of_member(solution, member, readings)
+        readings, convention = observations.readings[:, rows], system.conventions[number]
+        solved = SolvedCamera(name, number, convention, system.size(name), shape, readings)
+        tables.append(projection_table(solution, solved, float(np.median(depth[rows]))))
+        coverages[name] = coverage_statistics(solution, solved)
     return Table.stack(tables), coverages
 
 
@@ -193,21 +186,12 @@ def parameters(system: CameraSystem, solution: Solution) -> Parameters:
 
     The pose is that of the camera in the frame of the first, as x y z alpha beta gamma: `X_first = R X_camera + d`.
     """
-    lens, mount = solution.blocks[camera.LENS], solution.blocks[camera.MOUNT]
-    entries = np.argwhere(lens.free).tolist()
-    names = [f"{lens.members[i]}.{lens.columns[k]}" for i, k in entries]
-    of = [unit_of(lens.columns[k]) for _, k in entries]
-    values, changes = [lens.values[lens.free]], [np.eye(len(entries))]
-    placed = [(mount.members[i], mount.values[i]) for i in range(1, len(mount.members))]
+    mount = solution.blocks[camera.MOUNT]
+    placed = [(f"{name}.", pose) for name, pose in zip(mount.members[1:], mount.values[1:], strict=True)]
     if system.rig == "cmm":
-        placed.append((mount.members[0], solution.blocks[camera.TAPER].values[0]))
-    for name, pose in placed:
-        values.append(poses.euler_form(pose))
-        changes.append(poses.euler_form_by_step(pose))
-        names += [f"{name}.{key}" for key in poses.EULER]
-        of += POSE_UNITS
-    joint, added = solution.joint(delivered(system)), estimates(system.effects, solution)
-    return with_effects(names, np.concatenate(values), of, joint, in_diagonal(changes), added)
+        placed.append((f"{mount.members[0]}.", solution.blocks[camera.TAPER].values[0]))
+    prefixes = [f"{name}." for name in solution.blocks[camera.LENS].members]
+    return parameters_of(prefixes, placed, solution, delivered(system), system.effects)
 
 
 def _lens_table(solution: Solution) -> Table:

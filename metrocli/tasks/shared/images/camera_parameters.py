@@ -88,19 +88,33 @@ def parameters(rig: str, solution: Solution, effects: Sequence[Added] = ()) -> P
 
     The pose is that of the camera in the reference frame, as x y z alpha beta gamma.
     """
+    placed = [("", solution.blocks[camera.TAPER].values[0])] if rig == "cmm" else []
+    return parameters_of([""], placed, solution, delivered(rig, effects), effects)
+
+
+def parameters_of(
+    prefixes: Sequence[str],
+    placed: Sequence[tuple[str, Array]],
+    solution: Solution,
+    blocks: Sequence[str],
+    effects: Sequence[Added],
+) -> Parameters:
+    """Return the estimated parameters of each lens, then poses (6,), and the estimated effects.
+
+    The names of each lens and pose begin with its prefix. `blocks` are those of all that, in this order.
+    """
     lens = solution.blocks[camera.LENS]
-    free = np.flatnonzero(lens.free[0])
-    names = tuple(lens.columns[i] for i in free)
-    units = tuple(unit_of(name) for name in names)
-    values, change = lens.values[0, free], np.eye(len(free))
-    if rig == "cmm":
-        pose = solution.blocks[camera.TAPER].values[0]
-        names, units = (*names, *poses.EULER), (*units, *POSE_UNITS)
-        values = np.concatenate([values, poses.euler_form(pose)])
-        change = in_diagonal([change, poses.euler_form_by_step(pose)])
-    return with_effects(
-        names, values, units, solution.joint(delivered(rig, effects)), change, estimates(effects, solution)
-    )
+    entries = np.argwhere(lens.free).tolist()
+    names = [f"{prefixes[i]}{lens.columns[k]}" for i, k in entries]
+    units = [unit_of(lens.columns[k]) for _, k in entries]
+    values, changes = [lens.values[lens.free]], [np.eye(len(entries))]
+    for prefix, pose in placed:
+        values.append(poses.euler_form(pose))
+        changes.append(poses.euler_form_by_step(pose))
+        names += [f"{prefix}{key}" for key in poses.EULER]
+        units += POSE_UNITS
+    joint, added = solution.joint(blocks), estimates(effects, solution)
+    return with_effects(names, np.concatenate(values), units, joint, in_diagonal(changes), added)
 
 
 def with_effects(
