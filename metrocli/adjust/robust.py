@@ -235,11 +235,7 @@ def suspects(residuals: Residuals, fit: FitQuality) -> Suspects:
     unit = np.maximum(others, 1.0) if fit.noise_known else np.maximum(others, 1e-12)
     declared = fit.noise_known & (others <= 1.0)
     # compared with the noise of the others, w is Student's t: scaled so that `bound` is its bound as well
-    tests = w / unit * np.where(declared, 1.0, bound / _student_bound(residuals.values.size, rest))
+    largest = student_bound(rest, 0.05 / (2 * max(residuals.values.size, 1)))
+    tests = w / unit * np.where(declared, 1.0, bound / largest)
     rows = np.flatnonzero(tests > bound)
     return Suspects(rows, tests[rows], bound)
-
-
-def _student_bound(tests: int, dof: int, level: float = 0.05) -> float:
-    """Return the bound that the largest of `tests` |t| of Student exceeds with probability `level` (Bonferroni)."""
-    return student_bound(dof, level / (2 * max(tests, 1)))

@@ -10,7 +10,8 @@ from typing import Any
 from metrocli import units
 from metrocli.table import Table
 
-MOST_ROWS = 40
+MOST_ROWS, _WORST = 40, 12
+"""Most rows of a table, and of a list of those that differ most"""
 UNIT = "unit"
 """Column that holds the unit of each row"""
 _ALONE = "uncertainty"
@@ -37,9 +38,9 @@ def columns_text(rows: Sequence[Sequence[str]]) -> str:
     return "\n".join("  ".join(cells).rstrip() for cells in zip(*columns, strict=True))
 
 
-def worst_rows(rows: Sequence[Sequence[str]], most: int = 12, by: str = "E_n") -> list[str]:
+def worst_rows(rows: Sequence[Sequence[str]], by: str = "E_n") -> list[str]:
     """Return a heading and the first of its rows, which fall in `by`, as lines, and a line that counts the others."""
-    lines, more = [columns_text(rows[: most + 1])], len(rows) - most - 1
+    lines, more = [columns_text(rows[: _WORST + 1])], len(rows) - _WORST - 1
     return [*lines, f"... {more} more, with smaller {by} (--json has all)"] if more > 0 else lines
 
 

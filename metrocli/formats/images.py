@@ -97,7 +97,8 @@ def read_images(paths: Sequence[Path]) -> DecodedImages:
             faults.append(_fault(path, str(fault)))
         except InputError as error:
             faults += error.faults
-    faults += _same_names(files)
+    alike = [(first, path) for first, path in pairwise(files) if first.name == path.name]
+    faults += [_fault(path, f"two images have this name; the other is {first}") for first, path in alike]
     if faults:
         raise InputError(faults)
     return DecodedImages(files, tuple(sizes.values()), tuple(lengths.values()), tuple(digests.values()))
@@ -156,10 +157,6 @@ def _size_fault(path: Path, size: Size) -> list[Fault]:
     if size[0] * size[1] <= MOST_PIXELS:
         return []
     return [_fault(path, f"the image has {size[0]} x {size[1]} pixels; at most {MOST_PIXELS} pixels are read")]
-
-
-def _same_names(files: Sequence[Path]) -> list[Fault]:
-    return [_fault(b, f"two images have this name; the other is {a}") for a, b in pairwise(files) if a.name == b.name]
 
 
 def _same_content(path: Path, first: Path) -> list[Fault]:

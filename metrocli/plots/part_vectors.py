@@ -65,7 +65,8 @@ def data(result: Result, about: str) -> PartResiduals | None:
     rows = seen[thinned_vectors(points.at[seen][:, plane], rms[seen])]
     factor = 1.0
     if vectors is not None:
-        factor = magnification(float(np.linalg.norm(vectors[rows], axis=1).max()), _SHARE * _extent(points.at[rows]))
+        extent = float(np.ptp(points.at[rows], axis=0).max())
+        factor = magnification(float(np.linalg.norm(vectors[rows], axis=1).max()), _SHARE * extent)
     chosen = None if vectors is None else vectors[rows]
     names = tuple(points.names[row] for row in rows)
     return PartResiduals(names, points.at[rows], rms[rows], chosen, factor, plane, len(seen))
@@ -81,10 +82,6 @@ def _along_beams(result: Result, points: PlottedPoints, held: tuple[PlottedPoint
     beam = points.at[of[used]] - tracers.at[by[used]]
     along = table.numbers("residual")[used, None] * beam / np.linalg.norm(beam, axis=1)[:, None]
     return np.stack([np.bincount(of[used], along[:, k], len(points.names)) for k in range(3)], axis=1)
-
-
-def _extent(at: Array) -> float:
-    return float(np.ptp(at, axis=0).max())
 
 
 def height(residuals: PartResiduals) -> float:

@@ -77,11 +77,6 @@ def of_result(result: Result, record: Record) -> str:
     return digest([values, tables, verdicts, record.doubts, sorted(file.content for file in record.inputs)])
 
 
-def of_yaml(root: Node) -> str:
-    """Return the digest of the values of a YAML file, whatever its comments, the order of its keys and its notation."""
-    return digest(root)
-
-
 def same_version(made_by: str) -> bool:
     """Return whether another version of metrocli gives the same results: releases differ in the last number only."""
     return made_by.split(".")[:2] == __version__.split(".")[:2]

@@ -135,7 +135,7 @@ def content_now(job: JobFile, path: str) -> str:
 
 def _of_own(job: JobFile) -> tuple[InputFile, ...]:
     """Return the record of the files with user-defined effects, as they were read with the job."""
-    return tuple(_recorded(file.bytes, job.folder, fingerprint.of_yaml(file.root)) for file in job.own.files.values())
+    return tuple(_recorded(file.bytes, job.folder, fingerprint.digest(file.root)) for file in job.own.files.values())
 
 
 def _recorded(held: FileBytes, folder: Path, content: str) -> InputFile:

@@ -23,8 +23,8 @@ def find(pattern: Pattern, picture: Picture) -> FoundTargets:
 
     At least three quarters of the circles must be found. With polarity `either` the polarity with more circles counts.
     """
-    tried = [_of_polarity(pattern, picture, sign) for sign in _polarities(pattern)]
-    return max(tried, key=len)
+    polarities = ("dark", "bright") if pattern.polarity == "either" else (pattern.polarity,)
+    return max((_of_polarity(pattern, picture, polarity) for polarity in polarities), key=len)
 
 
 def shown_grids(picture: Picture) -> Iterator[Pattern]:
@@ -46,10 +46,6 @@ def shown_grids(picture: Picture) -> Iterator[Pattern]:
 
 _FEWEST = 12
 """Fewest circles of a grid that nothing states"""
-
-
-def _polarities(pattern: Pattern) -> tuple[str, ...]:
-    return ("dark", "bright") if pattern.polarity == "either" else (pattern.polarity,)
 
 
 def _of_polarity(pattern: Pattern, picture: Picture, polarity: str) -> FoundTargets:

@@ -255,7 +255,7 @@ def _row(finding: Finding, adjusted: AdjustedJob) -> tuple[str, ...]:
     name, gain = finding.effect, finding.gain
     return (
         str(name.alternative),
-        ", ".join(_parameters(finding)),
+        ", ".join(map(_parameter, finding.sizes)),
         _chance(float(np.exp(name.log_level))),
         listed(finding.instead, _SHOWN),
         _reduction(gain),
@@ -278,10 +278,6 @@ def _error(size: float, adjusted: AdjustedJob) -> str:
 def _score(gain: Gain) -> str:
     spread = f"± {gain.log_score_std:.1f}" if np.isfinite(gain.log_score_std) else f"({units.NOT_DETERMINED})"
     return f"{gain.log_score:+.1f} {spread}"
-
-
-def _parameters(finding: Finding) -> Iterator[str]:
-    yield from (_parameter(size) for size in finding.sizes)
 
 
 def _parameter(size: EffectSize) -> str:

@@ -100,7 +100,9 @@ def of_unit(
     for dimension in units.DIMENSIONS.values():
         if symbol in dimension.symbols and dimension.coherent == 1.0 and dimension.name not in _NOT_MEANT:
             return Parameter(name, dimension.name, plausible, grid=grid, tried=tried)
-    plain = Parameter(name, "", plausible, grid=grid, tried=tried, base=_base_unit(unit))
+    # with negative powers last: mm s-2
+    base = base_unit(tuple(sorted(unit.powers, key=lambda power: power[1] < 0)))
+    plain = Parameter(name, "", plausible, grid=grid, tried=tried, base=base)
     return replace(plain, shown=text.strip(), given=unit.factor)
 
 
@@ -112,11 +114,6 @@ def absurdity(parameter: Parameter, size: Measure, unit: Compound) -> str:
         size.value
     )
     return "" if believed else f"no effect has a size of {size.node.text}"
-
-
-def _base_unit(unit: Compound) -> str:
-    """Return a unit in base units with negative powers last: mm s-2."""
-    return base_unit(tuple(sorted(unit.powers, key=lambda power: power[1] < 0)))
 
 
 def values_tried(name: str, scan: Scan, adds: Iterable[WrittenExpression]) -> Array:

@@ -17,6 +17,7 @@ from metrocli.adjust.model.chain import LinkContext, Step
 from metrocli.adjust.model.quantities import Quantity
 from metrocli.arrays import Array
 from metrocli.frozen import dataclass
+from metrocli.instruments.axes.joints import crossed
 from metrocli.instruments.machine import ANGLES, POSITION, ROWS, SQUARENESS, TOOL, Machine
 
 
@@ -105,7 +106,7 @@ class ErrorMotion:
             own = slice(ROWS * number, ROWS * number + 6)
             error = sum(w * values[i].T for i, w in zip(index, weight, strict=True)) + value[own]
             lever = self.machine.lever(axis.number, position, tool)
-            motion[:3] += error[:3] + _crossed(error[3:], lever)
+            motion[:3] += error[:3] + crossed(error[3:], lever)
             motion[3:] += error[3:]
             if TOOL in local.wanted:
                 by_tool[:3] += _turning(error[3:])
@@ -142,12 +143,6 @@ def _turning(vectors: Array) -> Array:
     x, y, z = vectors
     none = np.zeros(len(x))
     return np.array([[none, -z, y], [z, none, -x], [-y, x, none]])
-
-
-def _crossed(first: Array, second: Array) -> Array:
-    """Return the cross products of vectors (3, n); `numpy.cross` takes longer to arrange its axes than for these."""
-    (a, b, c), (x, y, z) = first, second
-    return np.array([b * z - c * y, c * x - a * z, a * y - b * x])
 
 
 @dataclass(frozen=True)

@@ -50,7 +50,11 @@ def data(result: Result, beside: Beside) -> HeldOut | None:
     named += [(f"law {_name(law)}", law["gain"]) for law in chosen]
     if diagnosis.get("together"):
         named.append(("all of them together", diagnosis["together"]))
-    gains = [_gains(name, gain) for name, gain in named if gain.get("folds")]
+    gains = [
+        Gains(name, np.array(gain["folds"], dtype=float), float(gain["log_score_std"]))
+        for name, gain in named
+        if gain.get("folds")
+    ]
     if not gains:
         return None
     largest = sorted(gains, key=lambda gain: -gain.total)[:_MOST]
@@ -62,10 +66,6 @@ def _name(finding: Mapping[str, Any]) -> str:
     adds = finding.get("adds", "")
     words = finding["name"] if "name" in finding else "; ".join(adds.values()) if isinstance(adds, Mapping) else adds
     return " ".join([str(words), *map(str, dict(finding.get("where", {})).values())])
-
-
-def _gains(name: str, gain: Mapping[str, Any]) -> Gains:
-    return Gains(name, np.array(gain["folds"], dtype=float), float(gain["log_score_std"]))
 
 
 def height(gains: HeldOut) -> float:

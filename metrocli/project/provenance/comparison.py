@@ -84,7 +84,7 @@ def between(first: Path, second: Path) -> Difference:
     moved = [
         _moved(known[name], estimate)
         for name, estimate in present.items()
-        if name in known and _differ(known[name], estimate)
+        if name in known and (known[name].value, known[name].std) != (estimate.value, estimate.std)
     ]
     moved.sort(key=lambda change: -change.stds)
     only = [f"{name} is in the second only" for name in present if name not in known]
@@ -102,10 +102,6 @@ def between(first: Path, second: Path) -> Difference:
         tuple(moved), tuple(only), tuple(_settings(of_a, of_b, first, second)), tuple(_inputs(of_a, of_b)),
         fingerprint.of_result(a, of_a) == fingerprint.of_result(b, of_b),
     )  # fmt: skip
-
-
-def _differ(a: Estimate, b: Estimate) -> bool:
-    return (a.value, a.std) != (b.value, b.std)
 
 
 def _moved(a: Estimate, b: Estimate) -> Moved:

@@ -39,6 +39,7 @@ def adjusted_job(solved: AdjustedNetwork) -> AdjustedJob:
 
     free = model.blocks[t.POINT].free.any()
     stations = next((name for name in (s.STATION, s.LEVELLED, t.TRACER) if name in model.blocks), t.POINT)
+    timed = any("t" in group.observations.conditions for group in model.readings)
     delivered = ("point coordinates", t.POINT) if free else ("places of the stations", stations)
     return AdjustedJob(
         KIND.name,
@@ -54,14 +55,9 @@ def adjusted_job(solved: AdjustedNetwork) -> AdjustedJob:
         certified=frozenset(
             reading.name for reading in model.readings if reading.name.startswith((BARS, GIVEN_POINTS))
         ),
-        not_sought={STEERING: NO_MIRROR} | ({} if _timed(model) else {MOVED: NO_TIMES}),
+        not_sought={STEERING: NO_MIRROR} | ({} if timed else {MOVED: NO_TIMES}),
         variations=_variations,
     )
-
-
-def _timed(model: Model) -> bool:
-    """Return whether some readings have times."""
-    return any("t" in group.observations.conditions for group in model.readings)
 
 
 def covariates(model: Model) -> Iterator[Covariate]:

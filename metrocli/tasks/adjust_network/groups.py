@@ -83,7 +83,8 @@ def sightings(readings: NetworkReadings, blocks: Mapping[str, Block], bend: floa
                 index[ORIENTATION] = seen.orientation[rows]
             if raised:
                 index[SETUP] = seen.setup[rows]
-            name = QUANTITIES[component] + (_variant(block, raised) if len(codes) > 1 else "")
+            variant = f" from {block}" + " to raised targets" * raised
+            name = QUANTITIES[component] + variant * (len(codes) > 1)
             observations = replace(
                 chosen,
                 readings=chosen.readings[[component]],
@@ -94,11 +95,6 @@ def sightings(readings: NetworkReadings, blocks: Mapping[str, Block], bend: floa
                 unit="mm" if component == DISTANCE else "rad",
             )
             yield Group(name, sighting(block, raised, component, bend), observations)
-
-
-def _variant(block: str, raised: bool) -> str:
-    """Return the end of the name of a group of sightings, where there are several kinds of station or target."""
-    return f" from {block}" + " to raised targets" * raised
 
 
 def _of_points(readings: NetworkReadings, block: str, rows: Index) -> dict[str, Index]:

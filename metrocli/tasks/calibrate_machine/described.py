@@ -112,7 +112,7 @@ def commanded(machine: Machine, table: Table) -> Array:
 
     Raises InputError if an axis has no column, a column no axis, or if a position is outside the range of its axis.
     """
-    must_have_axes(machine, table)
+    raise_if(_columns(machine, table))
     position = table.stacked([axis.letter.lower() for axis in machine.axes]).T
     position = np.array([_wrapped(axis, own) for axis, own in zip(machine.axes, position, strict=True)])
     margin = np.array([np.radians(_OUTSIDE) if isinstance(axis, RotaryAxis) else _OUTSIDE for axis in machine.axes])
@@ -163,11 +163,6 @@ def _outside(axis: Axis, position: float, table: Table) -> str:
         return f"is it in degrees? then write `{letter}_deg`"
     one_turn = abs(float(np.ptp(axis.knots)) - 2 * np.pi) < _OUTSIDE and not axis.periodic
     return f"give {letter} a wider range" + ", or `periodic: true` if it takes any turn" * one_turn
-
-
-def must_have_axes(machine: Machine, table: Table) -> None:
-    """Raise InputError if a file lacks the column of an axis, or has that of an axis that the machine lacks."""
-    raise_if(_columns(machine, table))
 
 
 def raise_if(faults: Iterator[Fault]) -> None:

@@ -72,7 +72,8 @@ def report(solved: AdjustedMachine, settings: Settings, noise: NoiseFound, liste
     effect_tables, effect_arrays = effect_results(added, solution)
     hidden = uncontrolled(solved, tables, settings)
     where = mount(solved.problem.machine, solution)
-    turning, along = rotary_motion(tables, _known(identified)), paths(tables, solved, settings, listed)
+    known = [name for name in _wanted(identified) if identified.status[name] != Determination.UNDETERMINED]
+    turning, along = rotary_motion(tables, known), paths(tables, solved, settings, listed)
     volume = {}
     alone = solved.problem.positioning_alone
     if not alone:
@@ -149,11 +150,6 @@ def _at_20_degrees(settings: Settings) -> Iterator[str]:
 def _wanted(identified: Identifiability) -> list[str]:
     """Return the names of the errors with tables that the job estimates."""
     return [name for name in identified.tables if identified.status[name] != Determination.NOT_ESTIMATED]
-
-
-def _known(identified: Identifiability) -> list[str]:
-    """Return the names of the errors whose values the readings determine, alone or with others."""
-    return [name for name in _wanted(identified) if identified.status[name] != Determination.UNDETERMINED]
 
 
 def _estimates(solution: Solution) -> tuple[Estimate, ...]:

@@ -56,11 +56,6 @@ def unit_of_position(axis: Axis) -> str:
     return internal_unit("angle" if isinstance(axis, RotaryAxis) else "length")
 
 
-def machine_lacks_axes(machine: Machine) -> bool:
-    """Return whether a machine has fewer than three linear axes."""
-    return sum(not isinstance(axis, RotaryAxis) for axis in machine.axes) < len(AXES)
-
-
 @dataclass(frozen=True)
 class Tables:
     """Values of all tables at their knots, of locations and squareness, with their covariance."""
@@ -135,7 +130,7 @@ def least_squares_squareness(tables: Tables) -> tuple[Array, Array]:
     Y towards +X by s, which reduces C0Y by s.
     """
     change = np.zeros((3, len(tables.entries)))
-    if machine_lacks_axes(tables.machine):
+    if sum(not isinstance(axis, RotaryAxis) for axis in tables.machine.axes) < len(AXES):
         return tables.values[-3:], tables.covariance[-3:, -3:]
     for row, terms in enumerate(
         ((("EYZ", -1.0), ("EZY", -1.0)), (("EXZ", 1.0), ("EZX", 1.0)), (("EXY", -1.0), ("EYX", -1.0)))

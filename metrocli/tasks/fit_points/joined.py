@@ -30,7 +30,8 @@ def joined(problem: PointPairs, solution: Solution) -> Result:
     off = without_rounding(_deviations(problem, places, test), test.rounding)
     distance = np.sqrt((off**2).sum(axis=1))
     counts = np.bincount(places.of, minlength=len(places.names))
-    alone = _alone(places, counts)
+    # places that a single station measured, and no list has
+    alone = (counts == 1) & ~np.isfinite(places.spread.sigma).all(axis=1) & places.free.any(axis=1)
     size = float(np.sqrt((distance[~alone[places.of]] ** 2).mean()))
     statistics = basic_statistics(solution, {"mm": size}) | {"points": len(places.names)}
     if problem.estimated:
@@ -107,11 +108,6 @@ def _estimates(problem: PointPairs, test: Tested) -> tuple[tuple[Estimate, ...],
     ]
     numbers = zip(names, every.ravel().tolist(), np.sqrt(np.diag(covariance)).tolist(), strict=True)
     return tuple(Estimate(name, value, std, *unit) for (name, unit), value, std in numbers), covariance
-
-
-def _alone(places: Places, counts: Index) -> Mask:
-    """Return which places a single station measured, and no list has, (m,)."""
-    return np.asarray((counts == 1) & ~np.isfinite(places.spread.sigma).all(axis=1) & places.free.any(axis=1))
 
 
 def _uncontrolled(places: Places, alone: Mask) -> list[str]:

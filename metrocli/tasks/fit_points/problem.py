@@ -92,7 +92,7 @@ class PointPairs:
     def keys(self) -> dict[str, tuple[str, ...]]:
         """What names each measured point: its station, where there are several, and its name."""
         points = {"point": self.names}
-        return points if self.joins is None else {"station": self._stations_of(self.station), **points}
+        return points if self.joins is None else {"station": tuple(self.stations[i] for i in self.station), **points}
 
     @property
     def keys_with_places(self) -> dict[str, tuple[str, ...]]:
@@ -120,9 +120,6 @@ class PointPairs:
     def _own(self) -> Mask:
         """Which measured coordinates are unknowns that their list observes, (n, 3)."""
         return self.spread.sigma > 0
-
-    def _stations_of(self, rows: Index) -> tuple[str, ...]:
-        return tuple(self.stations[i] for i in rows)
 
     def _blocks(self, pose: Array, scale: Array) -> dict[str, Block]:
         extent = self.extent

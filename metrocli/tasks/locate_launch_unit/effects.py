@@ -16,16 +16,10 @@ from metrocli.instruments.launch_unit import ENCODERS, TURNED, UNIT
 
 LAUNCH, RECEIVER = UNITS = "launch", "receiver"
 """Names of the two units as places of effects"""
+_BEAMS = {LAUNCH: Quantity.BEAM_OUT, RECEIVER: Quantity.BEAM_AT_RECEIVER}
+_ANGLES = {LAUNCH: Quantity.LAUNCH_ANGLES, RECEIVER: Quantity.RECEIVER_ANGLES}
 AXES, PAIRS = ("x", "y", "z"), ("xy", "xz", "yz")
 _MURALIKRISHNAN = "Muralikrishnan et al. 2009, ASME B89.4.19 performance evaluation tests and geometric misalignments"
-
-
-def _eccentricity(block: str, where: Mapping[str, str]) -> Link:
-    return Harmonic(block, *ENCODERS[where["encoder"]])
-
-
-def _harmonic(block: str, where: Mapping[str, str]) -> Link:
-    return Harmonic(block, *ENCODERS[where["encoder"]], order=2)
 
 
 def _offset(block: str, where: Mapping[str, str]) -> Link:
@@ -36,14 +30,6 @@ def _offset(block: str, where: Mapping[str, str]) -> Link:
 def _lag(block: str, where: Mapping[str, str]) -> Link:
     at, component = ENCODERS[where["encoder"]]
     return Shift(block, at, sign=-0.5, condition=TURNED.format(**where), first=component)
-
-
-def _tilt(block: str, where: Mapping[str, str]) -> Link:
-    return BaseTilt(block, Quantity.BEAM_OUT if where["unit"] == LAUNCH else Quantity.BEAM_AT_RECEIVER)
-
-
-def _skew(block: str, where: Mapping[str, str]) -> Link:
-    return NonOrthogonality(block, Quantity.LAUNCH_ANGLES if where["unit"] == LAUNCH else Quantity.RECEIVER_ANGLES)
 
 
 def _scale(block: str, where: Mapping[str, str]) -> Link:
@@ -89,7 +75,7 @@ EFFECTS: tuple[Effect, ...] = (
         "encoder-eccentricity",
         "the disc of one encoder is not centred on its axis",
         sizes("c1 s1", "angle", "100 arcsec"),
-        _eccentricity,
+        lambda block, where: Harmonic(block, *ENCODERS[where["encoder"]]),
         where=("encoder",),
         confused_with=("encoder-offset", "base-tilt", "axis-nonorthogonality", "beam-offset"),
         formula="phi += c1 cos phi + s1 sin phi",
@@ -102,7 +88,7 @@ EFFECTS: tuple[Effect, ...] = (
         "encoder-harmonic",
         "the disc of one encoder is oval or bent: its error has two waves in a turn",
         sizes("c2 s2", "angle", "20 arcsec"),
-        _harmonic,
+        lambda block, where: Harmonic(block, *ENCODERS[where["encoder"]], order=2),
         where=("encoder",),
         confused_with=("encoder-eccentricity", "axis-nonorthogonality"),
         formula="phi += c2 cos 2 phi + s2 sin 2 phi",
@@ -146,7 +132,7 @@ EFFECTS: tuple[Effect, ...] = (
         "the base axis of one unit is not parallel to z: of the machine for the launch unit, of the spindle for the "
         "receiver",
         sizes("tx ty", "angle", "1 deg"),
-        _tilt,
+        lambda block, where: BaseTilt(block, _BEAMS[where["unit"]]),
         where=("unit",),
         confused_with=("encoder-eccentricity", "encoder-offset", "machine-squareness"),
         formula="base axis = Rx(tx) Ry(ty) z",
@@ -158,7 +144,7 @@ EFFECTS: tuple[Effect, ...] = (
         "axis-nonorthogonality",
         "the tilt axis of one unit is not square to its base axis",
         sizes("angle", "angle", "1 deg"),
-        _skew,
+        lambda block, where: NonOrthogonality(block, _ANGLES[where["unit"]]),
         where=("unit",),
         confused_with=("encoder-offset", "encoder-eccentricity", "beam-offset"),
         formula="base angle += angle tan(tilt)",

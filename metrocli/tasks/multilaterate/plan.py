@@ -14,7 +14,6 @@ import numpy as np
 
 from metrocli.adjust.robust import critical_value
 from metrocli.adjust.solution import Solution, residuals_of
-from metrocli.arrays import Array
 from metrocli.effects.estimates import estimates
 from metrocli.errors import UndeterminedError
 from metrocli.instruments import tracer as t
@@ -95,14 +94,11 @@ def _lines(layout: PlannedNetwork) -> Iterator[Estimate]:
     middle, half = (points.max(axis=0) + points.min(axis=0)) / 2, np.ptp(points, axis=0) / 2
     told = set()
     for direction in [*np.eye(3), *(np.array([1.0, y, z]) for y, z in product((1, -1), repeat=2))]:
-        a, b = (int(np.argmin(np.linalg.norm(points - end, axis=1))) for end in _ends(middle, half * direction))
+        ends = middle - half * direction, middle + half * direction
+        a, b = (int(np.argmin(np.linalg.norm(points - end, axis=1))) for end in ends)
         if a != b and (a, b) not in told:
             told.add((a, b))
             yield Estimate(f"{names[a]} - {names[b]}", *layout.distance(a, b), "mm")
-
-
-def _ends(middle: Array, half: Array) -> tuple[Array, Array]:
-    return middle - half, middle + half
 
 
 def _quality(layout: PlannedNetwork) -> Iterator[str]:

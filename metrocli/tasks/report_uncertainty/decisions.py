@@ -11,6 +11,7 @@ from metrocli.errors import Fault
 from metrocli.expressions.dimensions import Compound, compound, described
 from metrocli.expressions.written import Measure
 from metrocli.frozen import dataclass
+from metrocli.nodes import Node
 from metrocli.settings import LocatedValue
 from metrocli.tasks.report_uncertainty.entries import Tolerance
 from metrocli.uncertainty.decision import (
@@ -47,30 +48,35 @@ def faults(tolerance: Any, wanted: Mapping[str, LocatedValue]) -> Iterable[Fault
         return
     for name, placed in tolerance.items():
         if name not in wanted:
-            yield placed.node.fault(f"tolerance of '{name}', which is not a measurand", suggestion(name, wanted))
-            continue
-        try:
-            unit = compound("" if wanted[name].value.unit == "1" else wanted[name].value.unit)
-        except units.QuantityError:
-            continue
-        yield from _of_one(placed, unit)
+            yield _of_none("tolerance", name, placed.node, wanted)
+        elif (unit := _unit_of(wanted[name])) is not None:
+            yield from _of_one(placed, unit)
 
 
 def target_faults(targets: Mapping[str, Measure], wanted: Mapping[str, LocatedValue]) -> Iterable[Fault]:
     """Yield the faults of the wanted expanded uncertainties of measurands."""
     for name, measure in targets.items():
         if name not in wanted:
-            yield measure.node.fault(f"target of '{name}', which is not a measurand", suggestion(name, wanted))
+            yield _of_none("target", name, measure.node, wanted)
+        elif (unit := _unit_of(wanted[name])) is None:
             continue
-        try:
-            unit = compound("" if wanted[name].value.unit == "1" else wanted[name].value.unit)
-        except units.QuantityError:
-            continue
-        if measure.unit.powers != unit.powers:
+        elif measure.unit.powers != unit.powers:
             message = f"the target is {described(measure.unit)}, the measurand is {described(unit)}"
             yield measure.fault(message, f"write it in {unit.text}")
         elif measure.number <= 0:
             yield measure.fault("the target is not above zero", "write the U that is wanted")
+
+
+def _of_none(what: str, name: str, node: Node, wanted: Mapping[str, LocatedValue]) -> Fault:
+    return node.fault(f"{what} of '{name}', which is not a measurand", suggestion(name, wanted))
+
+
+def _unit_of(measurand: LocatedValue) -> Compound | None:
+    """Return the unit of a measurand; None for one that is no unit, which is a fault of its own."""
+    try:
+        return compound("" if measurand.value.unit == "1" else measurand.value.unit)
+    except units.QuantityError:
+        return None
 
 
 def _of_one(placed: LocatedValue, unit: Compound) -> Iterable[Fault]:

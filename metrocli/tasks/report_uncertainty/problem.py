@@ -103,11 +103,8 @@ class _Gathering:
             self._measurand(name, placed)
         known = {*self.settings.quantities, *self.named}
         self.faults += correlations.misnamed(self.settings.correlations, known, self.results is not None)
-        if not self.faults and self._whole():
+        if not self.faults and all(name in self.quantities for name in self.named):
             self._join(blocks)
-
-    def _whole(self) -> bool:
-        return all(name in self.quantities for name in self.named)
 
     def _quantity(self, name: str, placed: LocatedValue) -> None:
         node = placed.node

@@ -73,14 +73,11 @@ class Smooth:
         return design @ self.coefficients, np.sqrt(np.maximum(own, 0.0) + self.misfit**2)
 
 
-def _exponents(degree: int) -> list[tuple[int, ...]]:
-    return [powers for powers in product(range(degree + 1), repeat=3) if sum(powers) <= degree]
-
-
 def _terms(scaled: Array, degree: int) -> Array:
     """Return products of Legendre polynomials of total degree up to `degree`, (n, terms)."""
     each = [np.polynomial.legendre.legvander(scaled[:, a], degree) for a in range(3)]
-    return np.stack([each[0][:, p] * each[1][:, q] * each[2][:, r] for p, q, r in _exponents(degree)], axis=1)
+    exponents = [powers for powers in product(range(degree + 1), repeat=3) if sum(powers) <= degree]
+    return np.stack([each[0][:, p] * each[1][:, q] * each[2][:, r] for p, q, r in exponents], axis=1)
 
 
 def smooth(field: SiteErrors, covariance: Covariance) -> Smooth | None:

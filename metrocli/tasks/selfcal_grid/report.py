@@ -65,8 +65,9 @@ def report(solved: AdjustedGrid, left_open: Open, left_out: Sequence[LeftOut], p
         TABLE: hidden,
         **effects,
         **({"length_error": length.table} if length else {}),
-        **({"map": _map(solved, machine, points, form)} if points is not None else {}),
     }
+    if points is not None:
+        tables["map"] = error_map(points, _at_sites(solved, machine), _of_machine(solved), form)
     statistics, length_note = _statistics(solved, left_open, machine, length)
     return Result(
         kind=KIND.name,
@@ -211,10 +212,6 @@ def _suspects(solved: AdjustedGrid) -> Table:
 def _rejected(solved: AdjustedGrid) -> Table:
     keys = _keys_of(solved.whole, [row for row, _ in solved.rejected])
     return Table.of({**keys, "w": [test for _, test in solved.rejected]})
-
-
-def _map(solved: AdjustedGrid, machine: _Field, points: Table, form: Smooth | None) -> Table:
-    return error_map(points, _at_sites(solved, machine), _of_machine(solved), form)
 
 
 def _arrays(solved: AdjustedGrid, machine: _Field, form: Smooth | None) -> dict[str, Array]:

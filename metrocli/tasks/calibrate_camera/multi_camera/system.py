@@ -108,11 +108,11 @@ def system_of(
     known = (*priors(blocks[camera.TARGET], targets.sigma, free), *scale_bars(bars, targets.names, seen_in))
     model = Model(blocks, (group, *known), datum, (IMAGES,), places, nominal={camera.TARGET: targets.points})
     for number, problem in enumerate(each):
-        shown = _shape(problem, cameras[exposed.cameras[number]], settings)
+        name = exposed.cameras[number]
+        shown = shape_of(problem, settings.noise not in FROM_RESIDUALS) if cameras[name].model == SPLINE else None
         if shown is not None:
             link, covariance = shown
-            own = replace(link, block=f"{SHAPE} {exposed.cameras[number]}", member=number)
-            model = extended(model, own, covariance)
+            model = extended(model, replace(link, block=f"{SHAPE} {name}", member=number), covariance)
     # a target of a network that one camera does not place is placed by all together
     told = each if settings.rig != "network" else ()
     warnings = (*sighted.warnings, *(line for problem in told for line in problem.sighted.warnings))
@@ -179,11 +179,6 @@ def _resized(problem: CameraProblem, size: float) -> CameraProblem:
     larger = replace(targets, values=size * targets.values, reach=size * targets.reach)
     farther = views.with_values(views.values * np.repeat([size, 1.0], 3))
     return problem.with_blocks({**problem.blocks, camera.VIEW: farther, camera.TARGET: larger})
-
-
-def _shape(problem: CameraProblem, several: OneOfSeveral, settings: Settings) -> tuple[LensShape, Array] | None:
-    """Return the shape of a lens that is asked for and that the readings of its camera alone show, with its prior."""
-    return shape_of(problem, settings.noise not in FROM_RESIDUALS) if several.model == SPLINE else None
 
 
 def _seen(exposed: Exposures, number: int, problem: CameraProblem) -> CalibratedCamera:

@@ -65,7 +65,8 @@ def poses_at(settings: Settings, files: Files, shares: Array, margin: float = 1.
         return _at_balls(settings, files, position, margin)
     n, names = shares.shape[1], _read(settings, files)
     point = {"point [text]": np.array([f"P{i + 1:03d}" for i in range(n)])}
-    table = Table.of(point | _columns(machine, position) | ({} if names == [""] else {"tool": _in_turn(names, n)}))
+    tool = {} if names == [""] else {"tool": np.array(names)[_number_in_turn(len(names), n)]}
+    table = Table.of(point | _columns(machine, position) | tool)
     if settings.method != LENGTHS:
         return table
     listed = files.listed_stations
@@ -159,10 +160,6 @@ def _read(settings: Settings, files: Files) -> list[str]:
     reflectors = [] if files.reflectors is None else files.reflectors.texts("reflector")
     at_rest = settings.instrument.on == "bed" and settings.machine.letters[-1] == "b"
     return reflectors if reflectors and at_rest else [*settings.tools, *reflectors]
-
-
-def _in_turn(names: list[str], count: int) -> np.typing.NDArray[np.str_]:
-    return np.array(names)[_number_in_turn(len(names), count)]
 
 
 def _number_in_turn(members: int, count: int) -> Index:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection
 from dataclasses import replace
 
 import numpy as np
 
 from metrocli.adjust.dense_jacobian import Unknowns, normal_matrix, unit_noise, unknowns_of
 from metrocli.adjust.model.blocks import Block
-from metrocli.adjust.model.groups import Group
 from metrocli.arrays import Array
 from metrocli.instruments.axes.rotary import Combinations
 from metrocli.instruments.machine import TOOL
@@ -38,7 +37,10 @@ def worst_ratio(problem: MachineProblem) -> float:
         return 0.0
     weight = problem.per_reading / problem.per_reading.sum()
     unit = _angles_as_lengths(problem)[:, None] / np.sqrt(weight)
-    path = normal_matrix([unit_noise(problem.readings, unit), *_loose(problem.groups)], blocks, unknowns)
+    # conditions of tables with weights like those of readings, which saves digits
+    conditions = [group for group in problem.groups if isinstance(group.chain.links[0], Combinations)]
+    loose = [group.with_noise_times(_LOOSE) for group in conditions]
+    path = normal_matrix([unit_noise(problem.readings, unit), *loose], blocks, unknowns)
     volume = volume_matrix(problem, unknowns)
     # columns of one size: shifts in mm and turns in rad differ by many decades
     scale = 1 / np.sqrt(np.maximum(np.diag(path), 1e-300))
@@ -54,11 +56,6 @@ def worst_ratio(problem: MachineProblem) -> float:
 def _without(block: Block, given: Collection[str]) -> Block:
     """Return a block in which some of its columns are no unknowns."""
     return replace(block, free=block.free & ~np.isin(block.columns, list(given))) if given else block
-
-
-def _loose(held: Sequence[Group]) -> list[Group]:
-    """Return the conditions of tables among groups, with weights like those of readings, which saves digits."""
-    return [group.with_noise_times(_LOOSE) for group in held if isinstance(group.chain.links[0], Combinations)]
 
 
 def _angles_as_lengths(problem: MachineProblem) -> Array:

@@ -86,7 +86,8 @@ def opened(problem: GridProblem, design: FieldDesign) -> Open:
     mountings = tuple(_loose_mountings(problem, design))
     basis, fields = _machine_fields(problem, design)
     families = tuple(_families(problem, basis, fields, extra - sum(mounting.count for mounting in mountings)))
-    remedies = sorted(_remedies(problem, design), key=lambda family: family.left)
+    tried = (Remedy(words, _left_with(problem, design, view)) for words, view in candidates())
+    remedies = sorted(tried, key=lambda remedy: remedy.left)
     return Open(scale, families + mountings, tuple(remedy for remedy in remedies if remedy.left < design.null.shape[1]))
 
 
@@ -227,12 +228,6 @@ def _within(basis: Array, fields: Array) -> Array:
     inside = inside[:, lengths > 0] / lengths[lengths > 0]
     left, sizes, _ = thin_svd(inside)
     return left[:, sizes > 1e-6]
-
-
-def _remedies(problem: GridProblem, design: FieldDesign) -> Iterator[Remedy]:
-    """Yield each simple further view with the number of directions that it would leave open."""
-    for words, view in candidates():
-        yield Remedy(words, _left_with(problem, design, view))
 
 
 def candidates() -> Iterator[tuple[str, bg.View]]:
