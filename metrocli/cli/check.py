@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from metrocli.cli import options
-from metrocli.cli.console import Console, echo
+from metrocli.cli.console import Console, echo_json
 from metrocli.errors import Fault, InputError, UsageError
 from metrocli.formats.file_bytes import refuse_unwritable
 from metrocli.project import PROJECT_FILE
@@ -31,7 +31,6 @@ def command(place: Path, overrides: tuple[str, ...], accept_doubtful: bool, as_j
     A foreign file at the output is a fault too: `run` would not replace it. A result that `run` would replace is not
     judged.
     """
-    from metrocli.cli.summary import as_json as json_text
     from metrocli.formats.hdf5 import refuse_foreign
     from metrocli.project.job import JobOptions, load_parts
     from metrocli.project.named_files import absolute
@@ -63,7 +62,7 @@ def command(place: Path, overrides: tuple[str, ...], accept_doubtful: bool, as_j
     checked = [(_name(job), _outside(job, root) if within else []) for job in jobs]
     if as_json:
         rows = [{"job": name, "outside": outside} for name, outside in checked]
-        echo(json_text({"status": "no faults", "jobs": rows}))
+        echo_json({"status": "no faults", "jobs": rows})
     console = Console(quiet or as_json)
     for name, outside in checked:
         console.print(f"{name}: no faults")

@@ -9,7 +9,7 @@ import sys
 from collections.abc import Iterable
 from contextlib import AbstractContextManager, nullcontext, suppress
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import click
 
@@ -49,6 +49,13 @@ def echo(text: str, err: bool = False, nl: bool = True, as_is: bool = False) -> 
             text = coloured(text)
     with LINES[-1].away() if LINES else nullcontext(), suppress(OSError) if err else nullcontext():
         click.echo(text, err=err, nl=nl)  # a full or closed stderr is no reason to lose the result
+
+
+def echo_json(value: Any) -> None:
+    """Print a value as JSON text; NaN and infinities are null."""
+    from metrocli.cli.summary import as_json
+
+    echo(as_json(value))
 
 
 def printable(text: str) -> str:
@@ -102,9 +109,7 @@ def print_files(paths: Iterable[Path], as_json: bool, quiet: bool, **more: str) 
     """Print the paths of files that were written, or with more keys as JSON; return the exit code 0."""
     written = [str(path) for path in paths]  # all are written before the reader of this output closes it at any line
     if as_json:
-        from metrocli.cli.summary import as_json as json_text
-
-        echo(json_text({**more, "files": written}))
+        echo_json({**more, "files": written})
     else:
         console = Console(quiet)
         for path in written:

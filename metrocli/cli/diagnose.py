@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from metrocli.cli import options
-from metrocli.cli.console import Console, echo
+from metrocli.cli.console import Console, echo, echo_json
 from metrocli.cli.shell.signals import first_interrupt
 from metrocli.errors import InputError, UsageError
 from metrocli.project import DIAGNOSIS
@@ -86,7 +86,6 @@ def command(
 
 def _design(path: Path, asked: JobOptions, as_json: bool, console: Console) -> int:
     """Print what a measurement can detect."""
-    from metrocli.cli import summary
     from metrocli.cli.diagnosis_report import findings
     from metrocli.diagnosis import verdict
     from metrocli.project import diagnosed
@@ -96,7 +95,7 @@ def _design(path: Path, asked: JobOptions, as_json: bool, console: Console) -> i
     wished = replace(asked, not_needed=KINDS[kind].measured if kind else ())
     adjusted, detectability = diagnosed.design_of(load(path, wished), console)
     if as_json:
-        echo(summary.as_json(verdict.design_data(adjusted, detectability)))
+        echo_json(verdict.design_data(adjusted, detectability))
     console.print(findings.of_design(adjusted, detectability))
     return 0
 
@@ -105,7 +104,6 @@ def _once(
     loaded: JobFile, flags: dict[str, Any], out: Path | None, following: int | None, force: bool, as_json: bool
 ) -> int:
     """Print the diagnosis of a job, and write the extended job."""
-    from metrocli.cli import summary
     from metrocli.cli.diagnosis_report import findings
     from metrocli.cli.diagnosis_report.next_readings import next_lines
     from metrocli.diagnosis.next_readings.choice import as_data, next_readings
@@ -121,7 +119,7 @@ def _once(
     proposed = None if following is None else next_readings(diagnosis, following)
     data = _data(loaded, diagnosis, None if extended is None else extended.path)
     if as_json:
-        echo(summary.as_json(data | (as_data(proposed) if proposed else {})))
+        echo_json(data | (as_data(proposed) if proposed else {}))
     console.print(findings.of_diagnosis(diagnosis, extended, flags["full"]))
     if proposed is not None:
         console.print("\n".join(["", *next_lines(proposed)]))
@@ -175,7 +173,6 @@ def _keep(job: JobFile, data: dict[str, Any], force: bool, console: Console) -> 
 
 def _loop(job: JobFile, flags: dict[str, Any], force: bool, as_json: bool) -> int:
     """Print the steps of the loop until a job is clean."""
-    from metrocli.cli import summary
     from metrocli.cli.diagnosis_report.loop import loop_data, of_loop
     from metrocli.project.diagnosed import carry_out
     from metrocli.project.job import JobOptions, load
@@ -189,7 +186,7 @@ def _loop(job: JobFile, flags: dict[str, Any], force: bool, as_json: bool) -> in
         once = partial(carry_out, progress=console, limit=limit, attended=first_interrupt, ordered=ordered)
         loop = until_clean(job, once, flags["most"], console, force)
     if as_json:
-        echo(summary.as_json(loop_data(loop)))
+        echo_json(loop_data(loop))
     console.print(of_loop(loop))
     if not as_json:
         steps = [extension.job for extension in loop.extensions]

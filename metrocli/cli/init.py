@@ -9,7 +9,7 @@ from pathlib import Path
 import click
 
 from metrocli.cli import options
-from metrocli.cli.console import echo
+from metrocli.cli.console import echo, echo_json
 from metrocli.cli.shell.choices import offering
 from metrocli.errors import Fault, InputError, UsageError
 from metrocli.project import PROJECT_FILE
@@ -34,11 +34,9 @@ def all_samples() -> dict[str, Path]:
 @options.JSON
 def command(folder: Path | None, sample: str | None, as_json: bool) -> int:
     """Copy a sample, or list all samples."""
-    from metrocli.cli.summary import as_json as json_text
-
     samples = all_samples()
     if sample is None and as_json:
-        echo(json_text({"samples": {name: _title(path) for name, path in samples.items()}}))
+        echo_json({"samples": {name: _title(path) for name, path in samples.items()}})
         return 0
     if sample is None:
         echo("samples (copy one with: metrocli init DIR --sample NAME):")
@@ -53,7 +51,7 @@ def command(folder: Path | None, sample: str | None, as_json: bool) -> int:
         raise InputError([Fault("the folder is not empty", str(folder), hint="name a new folder")])
     _copy(samples[sample], folder)
     if as_json:
-        echo(json_text({"folder": str(folder), "sample": sample}))
+        echo_json({"folder": str(folder), "sample": sample})
         return 0
     echo(f"{folder}: sample {sample} copied. Next: metrocli run {folder}")
     return 0

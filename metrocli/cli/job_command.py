@@ -10,7 +10,7 @@ from typing import Any
 import click
 
 from metrocli.cli import options
-from metrocli.cli.console import Console, echo
+from metrocli.cli.console import Console, echo, echo_json
 from metrocli.errors import Fault, InputError, UsageError
 from metrocli.tasks import KINDS
 
@@ -81,9 +81,7 @@ def _carry_out(kind: str, path: Path, console: Console, flags: dict[str, Any]) -
             refuse_foreign(job.output, kind)
         runner.verify(job)
         if flags["as_json"]:
-            from metrocli.cli.summary import as_json
-
-            echo(as_json({"job": str(path), "status": "no faults", "result": str(job.output)}))
+            echo_json({"job": str(path), "status": "no faults", "result": str(job.output)})
         else:
             console.print(f"{path}: no faults; would write {job.output}")
         return 0

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from metrocli.cli import options
-from metrocli.cli.console import Console, echo
+from metrocli.cli.console import Console, echo, echo_json
 from metrocli.cli.shell.idle import up_to_date_lines
 from metrocli.cli.shell.live_table import has_terminal, live_table, time_text
 from metrocli.project import PROJECT_FILE
@@ -76,9 +76,7 @@ def command(project: Path, dry_run: bool, as_json: bool, quiet: bool, verbose: b
         memo.remember(file, steps, begun, labels)
     code = pipeline.worst(report.exit_code for report in reports)
     if as_json:
-        from metrocli.cli.summary import as_json as json_text
-
-        echo(json_text({"jobs": [_summary(report) for report in reports], "exit_code": code}))
+        echo_json({"jobs": [_summary(report) for report in reports], "exit_code": code})
     return code
 
 
@@ -130,9 +128,7 @@ def _executor(
 
 def _dry_run(states: Sequence[Staleness], console: Console, as_json: bool) -> int:
     if as_json:
-        from metrocli.cli.summary import as_json as json_text
-
-        echo(json_text({"jobs": [state_data(state) for state in states]}))
+        echo_json({"jobs": [state_data(state) for state in states]})
     for state in states:
         console.print(f"{state.step.name}: {state_text(state)}")
     return 0

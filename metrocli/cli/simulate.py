@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from metrocli.cli import options
-from metrocli.cli.console import Console, echo
+from metrocli.cli.console import print_files
 from metrocli.errors import Fault, InputError
 from metrocli.simulation import SimulationOptions
 from metrocli.tasks import KINDS
@@ -33,7 +33,6 @@ from metrocli.tasks import KINDS
 @options.QUIET
 def command(job: Path, out: Path, seed: int, images: bool, quiet: bool, force: bool, **wishes: Any) -> int:
     """Simulate; write tables, images and truth.json; print their paths."""
-    from metrocli.cli.summary import as_json as json_text
     from metrocli.formats.own_files import refuse_inputs
     from metrocli.project import runner
     from metrocli.project.job import JobOptions, kind_of_job, load
@@ -50,10 +49,4 @@ def command(job: Path, out: Path, seed: int, images: bool, quiet: bool, force: b
     if not (out / TRUTH).is_file():  # readings that an earlier simulation wrote are none of an instrument
         written = (out / name for name in (*simulation.files, *(name for name, _ in simulation.pictures)))
         refuse_inputs(written, (*loaded.stated_in, *loaded.files))
-    paths = list(write(simulation, out))
-    if wishes["as_json"]:
-        echo(json_text({"files": list(map(str, paths))}))
-        return 0
-    for path in paths:
-        Console(quiet).print(str(path))
-    return 0
+    return print_files(write(simulation, out), wishes["as_json"], quiet)

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from metrocli.cli import options
-from metrocli.cli.console import Console, echo
+from metrocli.cli.console import Console, echo, echo_json
 from metrocli.cli.run import nothing_to_do, state_data, state_text
 from metrocli.project import PROJECT_FILE
 from metrocli.project.running.memo import unmoved_jobs
@@ -28,9 +28,7 @@ def command(project: Path, accept_doubtful: bool, as_json: bool) -> int:
 
     current = list(states(load_project(project, accept_doubtful)))
     if as_json:
-        from metrocli.cli.summary import as_json as json_text
-
-        echo(json_text({"jobs": [state_data(state) for state in current]}))
+        echo_json({"jobs": [state_data(state) for state in current]})
         return 0
     for state in current:
         unfit = state.record if state.label and state.label.exit_code and not state.reason else None

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from metrocli.cli import options
-from metrocli.cli.console import echo
+from metrocli.cli.console import echo, echo_json
 from metrocli.cli.shell.choices import kinds, offering
 from metrocli.errors import Fault, InputError, UsageError
 from metrocli.tasks import KINDS
@@ -31,8 +31,6 @@ if TYPE_CHECKING:
 @options.JSON
 def command(kind: str | None, source: Path | None, check: bool, as_json: bool) -> int:
     """Print the tables of one kind or of all, or one effect; raise InputError with every fault of user-defined ones."""
-    from metrocli.cli import summary
-
     if kind is not None and kind not in KINDS:
         echo(_explained(kind, as_json))
         return 0
@@ -44,7 +42,7 @@ def command(kind: str | None, source: Path | None, check: bool, as_json: bool) -
             raise InputError(faults)
     if as_json:
         data = {name: _data(other, own) for name, (other, own) in by_kind.items()}
-        echo(summary.as_json(data[kind] if kind else {"kinds": data}))
+        echo_json(data[kind] if kind else {"kinds": data})
         return 0
     if check:
         echo("\n".join([f"{count} user-defined effects obey the laws", *_in_data(by_kind)]))

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from metrocli.cli import options
-from metrocli.cli.console import Console, echo
+from metrocli.cli.console import Console, echo, print_files
 from metrocli.errors import Fault, InputError, UsageError
 from metrocli.imports import FORMATS, ImportOptions, imported
 from metrocli.imports.lines import NOTE, TextLines
@@ -59,7 +59,6 @@ def command(
     Raises InputError that lists all faults of the file with their rows, and for files there that metrocli did not write
     unless forced.
     """
-    from metrocli.cli.summary import as_json as json_text
     from metrocli.formats.own_files import inside, write_all
     from metrocli.project import yaml_text
 
@@ -92,12 +91,7 @@ def command(
         notes = [line.removeprefix(NOTE) for line in text.splitlines()[:_FIRST] if line.startswith(NOTE)]
         for note in notes:
             console.warning(f"{name}: {note}")
-    if as_json:
-        echo(json_text({"status": "ok", "files": list(map(str, written))}))
-        return 0
-    for path in written:
-        console.print(str(path))
-    return 0
+    return print_files(written, as_json, quiet, status="ok")
 
 
 def _text(file: Path, root: Node | None) -> str:

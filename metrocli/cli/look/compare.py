@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from metrocli.cli import options
-from metrocli.cli.console import echo
+from metrocli.cli.console import echo, echo_json
 from metrocli.cli.look import repeated
 from metrocli.cli.look.opened import opened_result, require_option, requirement_of
 from metrocli.words import listed
@@ -41,7 +41,6 @@ def command(
         files = (first, *others)
         return repeated.sets(files, days, require, as_json) if sets else repeated.series(files, days, require, as_json)
     (second,) = others
-    from metrocli.cli import summary
     from metrocli.uncertainty.comparison import compare
 
     wanted = requirement_of(require, FIGURES)
@@ -49,7 +48,7 @@ def command(
     comparison, shared = compare(before, other), _shared(of_one, of_other)
     lenses = _lenses(before, other)
     if as_json:
-        echo(summary.as_json({**_figures(comparison, shared), **({"lens_difference": lenses} if lenses else {})}))
+        echo_json({**_figures(comparison, shared), **({"lens_difference": lenses} if lenses else {})})
     else:
         echo("\n".join([_text(comparison, shared), *_lenses_in_text(lenses, first, second)]))
     return 0 if wanted is None else wanted.exit_code(comparison)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from metrocli.cli import options
-from metrocli.cli.console import echo, print_files
+from metrocli.cli.console import echo, echo_json, print_files
 from metrocli.cli.shell.choices import figures, offering
 from metrocli.errors import Fault, InputError, UsageError
 from metrocli.project import DIAGNOSIS
@@ -69,9 +69,7 @@ def _print_names(result: Result, beside: Beside, as_json: bool) -> int:
 
     summaries = {figure: plots.FIGURES[figure].summary for figure in plots.names_of(result, beside)}
     if as_json:
-        from metrocli.cli.summary import as_json as json_text
-
-        echo(json_text({"figures": summaries}))
+        echo_json({"figures": summaries})
         return 0
     width = max(map(len, summaries), default=0)
     # one table, whose columns stay aligned where the terminal is narrow

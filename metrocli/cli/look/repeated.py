@@ -6,7 +6,7 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from metrocli.cli.console import echo
+from metrocli.cli.console import echo, echo_json
 from metrocli.cli.look.opened import opened_result, requirement_of
 from metrocli.errors import UsageError
 
@@ -21,17 +21,15 @@ FEWEST = 3
 
 def series(files: tuple[Path, ...], days: str | None, require: str | None, as_json: bool) -> int:
     """Print drift, pooled scatter and E_n against the first of several calibrations; return the exit code."""
-    from metrocli.cli import summary
     from metrocli.uncertainty.repeated import repeated
 
     wanted = requirement_of(require, OF_SERIES)
     times, time = _times(days, len(files))
     calibrations = repeated([opened_result(file)[0] for file in files], times)
-    echo(
-        summary.as_json(_figures_of_series(calibrations, files, times, time))
-        if as_json
-        else _text_of_series(calibrations, files, time)
-    )
+    if as_json:
+        echo_json(_figures_of_series(calibrations, files, times, time))
+    else:
+        echo(_text_of_series(calibrations, files, time))
     return 0 if wanted is None else wanted.exit_code(calibrations)
 
 
@@ -95,12 +93,14 @@ def sets(files: tuple[Path, ...], days: str | None, require: str | None, as_json
     """Print how far repeated sets scatter; return the exit code."""
     if days is not None or len(files) < FEWEST:
         raise UsageError("--sets takes three or more results, and no --days")
-    from metrocli.cli import summary
     from metrocli.uncertainty.repeated_sets import repetition
 
     wanted = requirement_of(require, OF_SETS)
     repeats = repetition([opened_result(file)[0] for file in files])
-    echo(summary.as_json(_figures_of_sets(repeats)) if as_json else _text_of_sets(repeats))
+    if as_json:
+        echo_json(_figures_of_sets(repeats))
+    else:
+        echo(_text_of_sets(repeats))
     return 0 if wanted is None else wanted.exit_code(repeats)
 
 

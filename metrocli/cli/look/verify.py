@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from metrocli.cli import options
-from metrocli.cli.console import echo
+from metrocli.cli.console import echo, echo_json
 from metrocli.cli.look.opened import opened_result, require_option, requirement_of
 from metrocli.frozen import dataclass
 
@@ -38,7 +38,6 @@ FIGURES = ("max_en", "inside", "mpe_ratio")
 @options.JSON
 def command(result: Path, check: Path, aligned: bool, mpe: str | None, require: str | None, as_json: bool) -> int:
     """Print the deviations, measured minus predicted; raises UsageError for a wrong condition."""
-    from metrocli.cli import summary
     from metrocli.formats import csv
     from metrocli.formats.csv_text import read_text, taken_apart
     from metrocli.uncertainty.length_errors import length_errors, permitted
@@ -54,7 +53,7 @@ def command(result: Path, check: Path, aligned: bool, mpe: str | None, require: 
     for remark in [*_remarks(calibrated, table), *([verification.mistake] if verification.mistake else [])]:
         echo(f"warning: {remark}", err=True)
     if as_json:
-        echo(summary.as_json(_figures(verification) | _length_figures(tested)))
+        echo_json(_figures(verification) | _length_figures(tested))
     else:
         echo("\n".join([_text(verification, calibrated.degrees_of_freedom()), *_length_text(tested)]))
     if wanted is None:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from metrocli.cli import options
-from metrocli.cli.console import echo
+from metrocli.cli.console import echo, echo_json
 
 if TYPE_CHECKING:
     from metrocli.project.provenance.comparison import Moved
@@ -22,12 +22,12 @@ if TYPE_CHECKING:
 @options.JSON
 def command(first: Path, second: Path, as_json: bool) -> int:
     """Print the differences, in standard uncertainties of the first result; return 0 whatever they are."""
-    from metrocli.cli import columns, summary
+    from metrocli.cli import columns
     from metrocli.project.provenance.comparison import between
 
     differences = between(first, second)
     if as_json:
-        echo(summary.as_json(asdict(differences)))
+        echo_json(asdict(differences))
         return 0
     if differences.same:
         echo("the results are the same, bit for bit")

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from metrocli.cli.console import echo
+from metrocli.cli.console import echo, echo_json
 
 if TYPE_CHECKING:
     from metrocli.project.provenance.lineage import Origin
@@ -24,9 +24,7 @@ def command(result: Path, form: str) -> int:
 
     origin = trace(result)
     if form == "json":
-        from metrocli.cli.summary import as_json
-
-        echo(as_json(_as_data(origin)))
+        echo_json(_as_data(origin))
     else:
         lines = {"text": _text, "mermaid": _mermaid, "dot": _dot}[form](shortened(origin))
         echo("\n".join(lines))

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from metrocli.cli import options
-from metrocli.cli.console import Console, echo
+from metrocli.cli.console import Console, echo_json
 from metrocli.record import NOT_MET
 
 
@@ -31,7 +31,6 @@ def command(
     verbose: bool,
 ) -> int:
     """Print whether the result is the same; exit code 6 if it is another one. Written only with --output."""
-    from metrocli.cli.summary import as_json as json_text
     from metrocli.formats import hdf5
     from metrocli.project.provenance.comparison import rerun
     from metrocli.uncertainty.workers import Workers
@@ -45,7 +44,7 @@ def command(
         hdf5.write(output, made, record)
     if as_json:
         made_by = {"made_by": before, "made_again_by": record.metrocli_version}
-        echo(json_text({"result": str(result), "same": same, **made_by}))
+        echo_json({"result": str(result), "same": same, **made_by})
     if same:
         console.print(f"{result}: the same again, bit for bit")
         return 0
