@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -120,3 +120,11 @@ def _cell(value: Any, decimals: int) -> str:
     if not isinstance(value, float):
         return str(value)
     return f"{value:.{decimals}f}" if math.isfinite(value) else "-"
+
+
+def text_table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
+    """Return the lines of a table; columns without any cell are left out."""
+    lines = [tuple(head), *map(tuple, rows)]
+    kept = [i for i in range(len(head)) if any(line[i] for line in lines[1:])]
+    widths = {i: max(len(line[i]) for line in lines) for i in kept}
+    return ["  ".join(f"{line[i]:{widths[i]}}" for i in kept).rstrip() for line in lines]

@@ -1,4 +1,7 @@
-"""A mapping proposed for a table: separator, header, decimal sign and units as the file shows them."""
+"""What a file that no format was named for is: that of a program, or a table with a proposed mapping.
+
+The mapping has separator, header, decimal sign and units as the file shows them.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +12,7 @@ from itertools import groupby
 from metrocli import units
 from metrocli.errors import InputError
 from metrocli.frozen import dataclass
+from metrocli.imports.cameras import program_of
 from metrocli.imports.columns import SEPARATORS, cells_of
 from metrocli.imports.lines import TextLines
 
@@ -21,6 +25,26 @@ _COMMENTS = ("//", "%", ";", "!", "'", "*")
 _KEY = re.compile(r"\s*(?:-\s+)?(?:\[|[\w.]+\s*:(?:\s|$)\s*)")
 """A key of YAML, or a list in brackets"""
 _KEYED = {"<": "XML", "{": "JSON", "[": "JSON"}
+_SIGNS = {
+    "gama-xml": r"<gama-(local|xml)\b",
+    "lgc2": r"^\*(?:TITR|POIN|CALA)\b",
+    "metashape-markers": r"<marker\s+marker_id=",
+    "vnl": r"^#\s*filename\s+x\s+y\b",
+}
+_NOT_READ = {
+    "GSI of Leica": r"^\*?(?:11|41)[0-9]{4}[+-][0-9A-Za-z]{8}",
+    "M5 of Zeiss or Trimble": r"^For M5\|Adr",
+    "camera or point list of MicMac": r"<(?:ExportAPERO|DicoAppuisFlottant|SetOfMesureAppuisFlottants)\b",
+    "camera of Pix4D": r"^Pix4D camera calibration file",
+    "target of Kalibr": r"^target_?[tT]ype\s*:",
+}
+_EXPORT = "export a table of it, one row a reading, and read that with a mapping"
+_CAMERA = "docs/tasks/align-part.md has the camera file that jobs read, in pixels"
+_INSTEAD = {
+    "camera or point list of MicMac": f"export points as a table; {_CAMERA}",
+    "camera of Pix4D": f"its numbers are mm; {_CAMERA}",
+    "target of Kalibr": "write `pattern: {type: aprilgrid, columns: .., rows: .., pitch: .., marker_size: ..}`",
+}
 
 
 @dataclass(frozen=True)
@@ -130,3 +154,20 @@ def _unit(name: str) -> str:
     plain = units.plain_symbol(symbol) if symbol else ""
     known = {unit.symbol for dimension in units.DIMENSIONS.values() for unit in dimension.units}
     return "px" if plain.lower() in _PIXELS else plain if plain in known else ""
+
+
+def must_be_read(lines: TextLines) -> None:
+    """Raise InputError, with what to do, for a file of a program whose files are not read."""
+    text = "\n".join(lines.lines)
+    for name, sign in _NOT_READ.items():
+        if re.search(sign, text, re.MULTILINE):
+            raise InputError(
+                [lines.fault(f"this is a file that is not read: {name}", None, _INSTEAD.get(name, _EXPORT))]
+            )
+
+
+def format_of(lines: TextLines) -> str | None:
+    """Return the format of a file that only files of one program have; None for any other, such as a table."""
+    text = "\n".join(lines.lines)
+    known = (name for name, sign in _SIGNS.items() if re.search(sign, text, re.MULTILINE))
+    return next(known, None) or program_of(text)

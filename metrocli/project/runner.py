@@ -51,8 +51,6 @@ class Done:
     result: Result
     record: Record
     path: Path
-    changed: bool = True
-    """Whether the result is another one than the file had before"""
 
 
 def carry_out(
@@ -76,8 +74,8 @@ def carry_out(
 
 def write(file: JobFile, result: Result, record: Record) -> Done:
     """Write the result of a job and return what was done."""
-    changed = hdf5.write(file.output, result, record)
-    return Done(result, record, file.output, changed)
+    hdf5.write(file.output, result, record)
+    return Done(result, record, file.output)
 
 
 def compute(

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Sequence
 
 from metrocli import units
-from metrocli.cli.diagnosis_report.text_table import text_table
+from metrocli.cli.columns import text_table
 from metrocli.diagnosis import status
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.detectability import Detectability, DetectableCandidate, WrongReading

@@ -8,10 +8,10 @@ import numpy as np
 
 from metrocli import units
 from metrocli.adjust.clusters.robust import STRUCTURED
+from metrocli.cli.columns import text_table
 from metrocli.cli.diagnosis_report.candidates import candidate_lines, count_of_candidates
 from metrocli.cli.diagnosis_report.headline import LEAST_REDUCTION, headline, noise_lines, smooth, summary
 from metrocli.cli.diagnosis_report.laws import law_lines
-from metrocli.cli.diagnosis_report.text_table import text_table
 from metrocli.diagnosis.adjusted_job import REPORTED, AdjustedJob, MemberSubset
 from metrocli.diagnosis.detectability import Detectability
 from metrocli.diagnosis.evidence.gain import Gain

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from metrocli import units
-from metrocli.cli.diagnosis_report.text_table import text_table
+from metrocli.cli.columns import text_table
 from metrocli.diagnosis.findings import Diagnosis
 from metrocli.diagnosis.laws.definition import written
 from metrocli.diagnosis.laws.search import Law

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from metrocli import units
+from metrocli.cli.columns import text_table
 from metrocli.cli.diagnosis_report.headline import headline
-from metrocli.cli.diagnosis_report.text_table import text_table
 from metrocli.diagnosis import verdict
 from metrocli.diagnosis.findings import Diagnosis
 from metrocli.project.until_clean import Extension, Loop

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from metrocli.cli.diagnosis_report.text_table import text_table
+from metrocli.cli.columns import text_table
 from metrocli.diagnosis.next_readings.choice import Next
 
 _ENOUGH = 0.95

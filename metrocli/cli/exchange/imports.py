@@ -69,8 +69,7 @@ def command(
     if form is None and root is not None:
         form = "columns"
     if form is None:
-        from metrocli.imports.known_files import format_of, must_be_read
-        from metrocli.imports.proposed_mapping import proposed
+        from metrocli.imports.proposed_mapping import format_of, must_be_read, proposed
 
         if known := format_of(lines):
             raise UsageError(f"{file} is a file for --from {known}: metrocli import {file} --from {known}")

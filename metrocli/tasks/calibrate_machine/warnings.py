@@ -30,6 +30,12 @@ WEAK = 10.0
 _TOOL = units.parse_quantity("0.1 mm", "length")
 _ARCSEC, _AWAY = units.parse_quantity("1 arcsec", "angle"), units.parse_quantity("300 mm", "length")
 _STEEL = units.parse_quantity("11.5 ppm", "ratio")
+_OF_INDEXERS = Hidden(
+    "division and centring of indexer, polygon or mirror (what turns with it is taken for errors of the axis)",
+    "1 arcsec, at 300 mm from the axis",
+    _ARCSEC * _AWAY,
+    "the same test with the indexer or the polygon turned on the table by some of its steps",
+)
 
 
 def cures(settings: Settings) -> tuple[str, ...]:
@@ -174,7 +180,8 @@ def _senses(tables: Tables, settings: Settings) -> Iterator[Hidden]:
 def _hidden(solved: AdjustedMachine, tables: Tables, scales: Mapping[str, Warm]) -> Iterator[Hidden]:
     machine, alone = tables.machine, solved.problem.positioning_alone
     if machine.only_turns:
-        yield from _of_indexers() if alone else ()
+        if alone:
+            yield _OF_INDEXERS
     else:
         yield from _of_scales(solved, machine, scales)
     tool = solved.solution.blocks[TOOL]
@@ -187,15 +194,6 @@ def _hidden(solved: AdjustedMachine, tables: Tables, scales: Mapping[str, Warm])
             _TOOL * float(np.nanmax(angles, initial=0.0)),
             "tools of different length, or the tool measured",
         )
-
-
-def _of_indexers() -> Iterator[Hidden]:
-    yield Hidden(
-        "division and centring of indexer, polygon or mirror (what turns with it is taken for errors of the axis)",
-        "1 arcsec, at 300 mm from the axis",
-        _ARCSEC * _AWAY,
-        "the same test with the indexer or the polygon turned on the table by some of its steps",
-    )
 
 
 def _of_scales(solved: AdjustedMachine, machine: Machine, scales: Mapping[str, Warm]) -> Iterator[Hidden]:

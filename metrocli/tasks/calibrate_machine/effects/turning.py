@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 
 from metrocli.adjust.model.blocks import Space
-from metrocli.arrays import Array
 from metrocli.effects.effect import Effect, Parameter, change_points, sizes
 from metrocli.effects.links.motions import TURNING, Backlash
 from metrocli.effects.links.turning import (
@@ -23,19 +20,13 @@ from metrocli.effects.links.turning import (
 _FEWEST, _MOST = 12, 720
 """Periods of a worm gear in a turn"""
 _WOBBLES = 6
+_OF_WORM = Parameter("periods", grid=lambda conditions: np.arange(_FEWEST, _MOST + 1.0), tried=_MOST, whole=True)
+_OF_WOBBLE = Parameter("periods", grid=lambda conditions: np.arange(1.0, _WOBBLES + 1), tried=_WOBBLES, whole=True)
 _AT = (Parameter("at", "time", grid=change_points),)
 _LETTERS = tuple(TURNING)
 TILTED = ("ac", "bc", "ab", "ca", "cb", "ba")
 """Pairs of tables, the one that tilts the other first"""
 _ISO = "ISO 230-7:2015, axis of rotation error motions"
-
-
-def _worms(conditions: Mapping[str, Array]) -> Array:
-    return np.arange(_FEWEST, _MOST + 1.0)
-
-
-def _wobbles(conditions: Mapping[str, Array]) -> Array:
-    return np.arange(1.0, _WOBBLES + 1)
 
 
 def _across(letter: str, names: str, dimension: str, plausible: str) -> tuple[Parameter, ...]:
@@ -105,7 +96,7 @@ OF_ROTARY_AXES: tuple[Effect, ...] = (
         lambda block, where: WormError(block, axis=where["axis"]),
         where=("axis",),
         among=_LETTERS,
-        scanned=(Parameter("periods", grid=_worms, tried=_MOST, whole=True),),
+        scanned=(_OF_WORM,),
         space=Space.WAVE,
         formula="angle += amplitude sin(periods s + phase)    # s: commanded angle",
         note="At equal steps a period that divides them is not seen: steps of 30 deg hide 36 and 72 periods.",
@@ -134,7 +125,7 @@ OF_ROTARY_AXES: tuple[Effect, ...] = (
         lambda block, where: Wobble(block, axis=where["axis"]),
         where=("axis",),
         among=_LETTERS,
-        scanned=(Parameter("periods", grid=_wobbles, tried=_WOBBLES, whole=True),),
+        scanned=(_OF_WOBBLE,),
         formula="first tilt += c1 cos ns + s1 sin ns    # EA of B and C, EB of A; n: periods\n"
         "other tilt += c2 cos ns + s2 sin ns    # EB of C, EC of A and B",
         note="The tables of the tilts contain it where they are estimated.",
