@@ -33,9 +33,7 @@ SUMMARIES = "; ".join(f"{name}, {form.summary}" for name, form in FORMATS.items(
     help=f"Cameras: largest difference where a format can only approach the lens; default '{WITHIN} px'.",
 )
 @options.ACCEPT
-@options.FORCE
-@options.JSON
-@options.QUIET
+@options.WRITES
 def command(
     result: Path,
     form: str,

@@ -73,3 +73,7 @@ def all_of(*options: Decorator) -> Decorator:
         return function
 
     return decorate
+
+
+WRITES = all_of(FORCE, JSON, QUIET)
+"""Of a command that writes files and prints their paths"""

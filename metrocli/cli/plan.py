@@ -31,9 +31,7 @@ _READINGS = 5
 )
 @options.SET
 @options.ACCEPT
-@options.FORCE
-@options.JSON
-@options.QUIET
+@options.WRITES
 def command(
     job: Path, out: Path | None, reveal: str | None, force: bool, as_json: bool, quiet: bool, **wishes: Any
 ) -> int:

@@ -28,9 +28,7 @@ from metrocli.tasks import KINDS
 @click.option("--images", is_flag=True, help="Render the images too.")
 @options.SET
 @options.ACCEPT
-@options.FORCE
-@options.JSON
-@options.QUIET
+@options.WRITES
 def command(job: Path, out: Path, seed: int, images: bool, quiet: bool, force: bool, **wishes: Any) -> int:
     """Simulate; write tables, images and truth.json; print their paths."""
     from metrocli.formats.own_files import refuse_inputs

@@ -41,9 +41,7 @@ _FIRST = 10
     help="Column, unit and sign of each quantity.",
 )
 @click.option("--unit", default="", metavar="UNIT", help="Unit of lengths, where the file does not state it.")
-@options.FORCE
-@options.JSON
-@options.QUIET
+@options.WRITES
 def command(
     files: tuple[Path, ...],
     form: str | None,

@@ -34,9 +34,7 @@ _FILE = click.Path(path_type=Path)
 @click.option("--dark", is_flag=True, help="Light lines on a dark ground.")
 @click.option("--before", type=_FILE, metavar="OTHER.h5", help="Result of the job without its extension.")
 @click.option("--diagnosis", type=_FILE, metavar="FILE.json", help="Output of `metrocli diagnose --json`.")
-@options.FORCE
-@options.JSON
-@options.QUIET
+@options.WRITES
 def command(result: Path, name: str | None, save: Path | None, as_json: bool, **flags: Any) -> int:
     """Print the names, or write one figure (by default RESULT.NAME.svg beside the result) and print its path.
 

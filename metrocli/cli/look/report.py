@@ -37,9 +37,7 @@ Counter = Callable[[int, int], None]
 )
 @click.option("--pdf", is_flag=True, help="Write each page as PDF, too; needs Chromium or Chrome.")
 @options.UNITS
-@options.FORCE
-@options.JSON
-@options.QUIET
+@options.WRITES
 def command(
     place: Path,
     out: Path | None,

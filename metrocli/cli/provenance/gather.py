@@ -14,9 +14,7 @@ from metrocli.cli.console import Console, echo
 @click.argument("project", type=click.Path(path_type=Path), default=Path())
 @click.option("--out", required=True, type=click.Path(path_type=Path), metavar="TABLE.csv", help="File to write.")
 @click.option("--only", multiple=True, metavar="JOB", help="The results of this job (repeatable).")
-@options.FORCE
-@options.JSON
-@options.QUIET
+@options.WRITES
 def command(project: Path, out: Path, only: tuple[str, ...], force: bool, as_json: bool, quiet: bool) -> int:
     """Write the table; a row for each result, with whether it is up to date."""
     from metrocli.cli import summary

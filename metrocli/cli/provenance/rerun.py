@@ -16,9 +16,7 @@ from metrocli.record import NOT_MET
 @options.OUTPUT
 @options.WORKERS
 @options.ACCEPT
-@options.FORCE
-@options.JSON
-@options.QUIET
+@options.WRITES
 @options.VERBOSE
 def command(
     result: Path,

@@ -1,7 +1,7 @@
 """locate-launch-unit: place of an interferometer's launch unit in the machine, and plan of its measuring lines.
 
 `readings` -> `problem` -> `solve` (three methods; `misread` where nothing fits) -> `report`. A plan: `lines`
-through the unit -> `margin` (is the beam in range, which poses would help) -> `programs`.
+through the unit -> `margin` (is the beam in range, which poses would help) -> their programs.
 """
 
 from metrocli.tasks.kind import Kind, Question

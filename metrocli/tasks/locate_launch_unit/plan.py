@@ -13,7 +13,16 @@ from metrocli.plan import Plan
 from metrocli.result import Estimate, ShownTable
 from metrocli.table import Table
 from metrocli.tasks.locate_launch_unit import KIND
-from metrocli.tasks.locate_launch_unit.lines import AXES, Reach, ReceiverLine, commanded, measurable
+from metrocli.tasks.locate_launch_unit.lines import (
+    AXES,
+    ProgramMotion,
+    Reach,
+    ReceiverLine,
+    commanded,
+    farthest_corner,
+    line_program,
+    measurable,
+)
 from metrocli.tasks.locate_launch_unit.margin import (
     Further,
     Margin,
@@ -25,7 +34,6 @@ from metrocli.tasks.locate_launch_unit.margin import (
     further,
     information,
 )
-from metrocli.tasks.locate_launch_unit.programs import ProgramMotion, farthest_corner, line_program
 from metrocli.tasks.locate_launch_unit.report import UNITS
 from metrocli.tasks.locate_launch_unit.settings import LaunchUnitNoise, PlannedLines
 from metrocli.tasks.locate_launch_unit.solve import Located
