@@ -132,13 +132,28 @@ def products_of_members(
 
     Those of each part are computed once in a cache.
     """
-    (order, begins), found = m.by_member, list[Array]()
+    found = list[Array]()
     for key, columns in _local_parts(m, random):
         at = "of members", key, other[0]
         if at not in held:
-            held[at] = np.stack([columns[order[a:b]].T @ other[1][order[a:b]] for a, b in pairwise(begins)])
+            held[at] = _by_members(m, columns, other[1])
         found.append(held[at])
     return np.concatenate(found, axis=1)
+
+
+def _by_members(m: Measurement, columns: Array, others: Columns) -> Array:
+    """Return the products of columns (rows, k) with others (rows, p) over the rows of each member, (members, k, p)."""
+    order, begins = m.by_member
+    if isinstance(others, np.ndarray):
+        return np.stack([columns[order[a:b]].T @ others[order[a:b]] for a, b in pairwise(begins)])
+    from scipy.sparse import csr_matrix
+
+    # at once: taking rows out of a sparse matrix costs more than their products
+    (rows, k), there = columns.shape, m.system.basis.member >= 0
+    places = (np.where(there, m.system.basis.member, 0)[:, None] * k + np.arange(k)).ravel()
+    values = np.where(there[:, None], columns, 0.0).ravel()
+    apart = csr_matrix((values, places, k * np.arange(rows + 1)), shape=(rows, m.system.basis.members * k))
+    return np.asarray((apart.T @ others).toarray().reshape(m.system.basis.members, k, others.shape[1]))
 
 
 def _gram(m: Measurement, shared: Sequence[tuple[object, Array]], known: Products | None) -> tuple[Array, Array]:
