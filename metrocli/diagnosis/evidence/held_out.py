@@ -27,7 +27,7 @@ from metrocli.diagnosis.linear.projection import VISIBLE
 from metrocli.diagnosis.linear.quadratics import factored, quadratic, solved
 from metrocli.frozen import dataclass
 
-_MOST_HELD = 500_000
+_MOST_HELD = 2_000_000
 """Numbers of the products without a fold that are kept"""
 
 
