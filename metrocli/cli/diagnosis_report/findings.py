@@ -194,7 +194,9 @@ def _included(diagnosis: Diagnosis) -> str:
 def _processes(diagnosis: Diagnosis) -> Iterator[str]:
     for error in diagnosis.correlated_errors:
         size, chance = error.sized(diagnosis.job.reading[1]), _chance(float(np.exp(error.log_level)))
-        yield f"{smooth(error)}: {size} (standard deviation, {chance})"
+        # the length tells two errors over the same covariate apart
+        length = f"correlated over {100 * error.length:.2g} % of the range"
+        yield f"{smooth(error)}: {size} (standard deviation, {chance}; {length})"
         if error.instead_of:
             yield f"  Without it these would be named: {listed([str(each) for each in error.instead_of], _SHOWN)}."
     if diagnosis.correlated_errors:
