@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from itertools import product
+from types import MappingProxyType
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from metrocli.arrays import Array
 from metrocli.effects.effect import Effect
 from metrocli.effects.extension import can_act, with_conditions, with_effect
 from metrocli.effects.requested import RequestedEffect
-from metrocli.errors import UndeterminedError
+from metrocli.errors import InputError, UndeterminedError
 from metrocli.instruments import tracer as t
 from metrocli.plan import Plan
 from metrocli.result import Estimate, ShownTable
@@ -31,6 +32,9 @@ _GRID = 4
 """Places along each side of the region that are tried"""
 _SEED = 1
 _MARGIN = 0.1
+_UP = "up"
+_ON_ITS_SIDE = {"x": np.pi / 2, "y": np.pi}
+"""Standing axes of an instrument on its side, each with its gamma"""
 _BLIND = 100.0
 """Standard deviations of an effect, in its largest usual size, from which the network cannot see it"""
 
@@ -58,9 +62,15 @@ _HEAD = ("effect [text]", "instrument [text]", "std", "unit [text]", "usual [tex
 
 
 def _network(
-    settings: Settings, files: Files, truth: NetworkSimulation, effects: tuple[RequestedEffect, ...]
+    settings: Settings,
+    files: Files,
+    truth: NetworkSimulation,
+    effects: tuple[RequestedEffect, ...],
+    axes: Mapping[str, str] = MappingProxyType({}),
 ) -> Network:
-    network = true_network(settings, designed(settings, files, truth), np.random.default_rng(_SEED))
+    """Return the network at its truth; `axes` has the standing axes of its further stations."""
+    rolled = {station: _ON_ITS_SIDE[axis] for station, axis in axes.items() if axis != _UP}
+    network = true_network(settings, designed(settings, files, truth), np.random.default_rng(_SEED), rolled)
     return network.with_effects(effects)
 
 
@@ -164,25 +174,34 @@ def _further(
     low, high = np.array(wish.region.low), np.array(wish.region.high)
     margin = _MARGIN * (high - low)
     sides = [np.linspace(a + m, b - m, _GRID) for a, b, m in zip(low, high, margin, strict=True)]
-    instrument = next(name for name, instrument in settings.instruments.items() if instrument.type != INTERFEROMETER)
+    instrument = settings.of_further_stations
+    if instrument is None:
+        raise InputError("a further station needs a tracker or a total station among `instruments`")
+    tried = (_UP, *_ON_ITS_SIDE) if wish.rolled else (_UP,)
+    axes: dict[str, str] = {}
     lines, rows = [], []
     for number in range(wish.stations):
-        best: tuple[float, Array, Files] | None = None
+        name = f"NEW{number + 1}"
+        best: tuple[float, Array, str] | None = None
         for place in map(np.array, product(*sides)):
-            more = _with_station(files, f"NEW{number + 1}", instrument, place)
-            try:
-                worth = _value(_network(settings, more, truth, effects), wish.aim)
-            except UndeterminedError:
-                continue
-            rows.append((f"NEW{number + 1}", *place.tolist(), worth))
-            if best is None or worth < best[0]:
-                best = worth, place, more
+            more = _with_station(files, name, instrument, place)
+            for axis in tried:
+                try:
+                    worth = _value(_network(settings, more, truth, effects, {**axes, name: axis}), wish.aim)
+                except UndeterminedError:
+                    continue
+                rows.append((name, *place.tolist(), worth, *((axis,) if wish.rolled else ())))
+                if best is None or worth < best[0]:
+                    best = worth, place, axis
         if best is None:
             break
-        files = best[2]
-        at = ", ".join(f"{coordinate:.0f}" for coordinate in best[1])
-        lines.append(f"a further station at ({at}) mm: {wish.aim} {roughly(best[0], 'um')}")
-    return lines, Table.of_rows(("station [text]", "x [mm]", "y [mm]", "z [mm]", "worth"), rows)
+        worth, place, axis = best
+        files, axes[name] = _with_station(files, name, instrument, place), axis
+        at = ", ".join(f"{coordinate:.0f}" for coordinate in place)
+        stands = "" if axis == _UP else f", on its side with its standing axis along {axis}"
+        lines.append(f"a further station at ({at}) mm{stands}: {wish.aim} {roughly(worth, 'um')}")
+    head = ("station [text]", "x [mm]", "y [mm]", "z [mm]", "worth", *(("axis [text]",) if wish.rolled else ()))
+    return lines, Table.of_rows(head, rows)
 
 
 def _value(network: Network, aim: str) -> float:

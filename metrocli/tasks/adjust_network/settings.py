@@ -184,12 +184,18 @@ class NetworkPlanning:
     stations: int = setting(Whole(minimum=1), "number of further stations", default=1)
     region: Region | None = setting(Section(Region), "where they may stand", default=None)
     faces: int = setting(Whole(minimum=1, maximum=2), "faces in which each point is measured", default=1)
-    rolled: bool = setting(Flag(), "whether an instrument may stand on its side", default=False)
+    rolled: bool = setting(Flag(), "whether a further station may stand on its side", default=False)
     aim: str = setting(
         Choice("points", "instrument", "pairs"),
         "what is to be known best: the points, the errors of the instrument, or the distances between points",
         default="points",
     )
+
+    def faults(self) -> Iterable[tuple[str, str]]:
+        """Yield a fault for further stations that may stand nowhere."""
+        if self.region is None and (self.stations > 1 or self.rolled or self.aim != "points"):
+            example = "`region: {from: [0 mm, 0 mm, 0 mm], to: [8 m, 5 m, 2 m]}`"
+            yield "region", f"without it no further station is sought: say where it may stand, {example}"
 
 
 @dataclass(frozen=True)
@@ -232,6 +238,21 @@ class Settings:
     simulation: NetworkSimulation | None = setting(
         Section(NetworkSimulation), "the truth for `metrocli simulate`", default=None
     )
+
+    def faults(self) -> Iterable[tuple[str, str]]:
+        """Yield a fault for a levelled instrument that is to stand on its side."""
+        name = self.of_further_stations
+        if self.plan is not None and self.plan.rolled and name is not None and self.instruments[name].is_levelled:
+            yield (
+                "plan.rolled",
+                f"further stations are of {name}, which is levelled and cannot stand on its side: "
+                "remove `rolled: true`, or name a tracker first among `instruments`",
+            )
+
+    @property
+    def of_further_stations(self) -> str | None:
+        """The instrument of the stations that a plan adds: the first that is no interferometer."""
+        return next((name for name, kind in self.instruments.items() if kind.type != INTERFEROMETER), None)
 
 
 def figures(settings: Settings) -> dict[str, str]:

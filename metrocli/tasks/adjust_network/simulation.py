@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from itertools import product
+from types import MappingProxyType
 
 import numpy as np
 
@@ -95,8 +96,14 @@ def _joined(old: Table, new: Table) -> Table:
     return Table(columns, old.units, old.file)
 
 
-def true_network(settings: Settings, files: Files, rng: np.random.Generator) -> Network:
-    """Return the network at its truth: listed points and stations; orientations and dead paths are drawn."""
+def true_network(
+    settings: Settings, files: Files, rng: np.random.Generator, rolled: Mapping[str, float] = MappingProxyType({})
+) -> Network:
+    """Return the network at its truth: listed points and stations; orientations and dead paths are drawn.
+
+    `rolled` has the stations that stand on their side, each with its gamma: their standing axis lies near
+    (sin gamma, -cos gamma, 0).
+    """
     readings = read(settings, files)
     stations = readings.stations
     place, n = stations.listed.copy(), len(stations.names)
@@ -107,9 +114,14 @@ def true_network(settings: Settings, files: Files, rng: np.random.Generator) -> 
         raise InputError(f"simulate and plan need x, y, z of each station; these have none: {', '.join(lost)}")
     tilt = rng.normal(0.0, _TILT, (n, 2)) * [[not readings.of(i).is_levelled] for i in range(n)]
     turn = np.where(np.isnan(stations.gamma), rng.uniform(-np.pi, np.pi, n), stations.gamma)
+    for name, gamma in rolled.items():
+        tilt[stations.names.index(name), 0] += np.pi / 2
+        turn[stations.names.index(name)] = gamma
     pose = poses.pose_from_euler(place, np.column_stack([tilt, turn]))
-    gamma = turn[[station for station, _ in readings.sightings.rounds]] if readings.sightings.rounds else np.zeros(0)
-    network = build(settings, readings, NetworkStart(np.nan_to_num(readings.points.listed), pose, gamma))
+    of_rounds = (
+        turn[[station for station, _ in readings.sightings.rounds]] if readings.sightings.rounds else np.zeros(0)
+    )
+    network = build(settings, readings, NetworkStart(np.nan_to_num(readings.points.listed), pose, of_rounds))
     blocks = dict(network.blocks)
     if t.TRACER in blocks:
         values = blocks[t.TRACER].values.copy()
