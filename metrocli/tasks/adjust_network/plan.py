@@ -26,12 +26,13 @@ from metrocli.tasks.adjust_network.problem import Network
 from metrocli.tasks.adjust_network.settings import INTERFEROMETER, Files, NetworkSimulation, Settings
 from metrocli.tasks.adjust_network.simulation import designed, true_network
 from metrocli.tasks.shared.tracker_effects import TRACKER_EFFECTS
-from metrocli.units import roughly
+from metrocli.units import roughly, two_digits
 
 _GRID = 4
 """Places along each side of the region that are tried"""
 _SEED = 1
 _MARGIN = 0.1
+_INSTRUMENT = "instrument"
 _UP = "up"
 _ON_ITS_SIDE = {"x": np.pi / 2, "y": np.pi}
 """Standing axes of an instrument on its side, each with its gamma"""
@@ -199,7 +200,12 @@ def _further(
         files, axes[name] = _with_station(files, name, instrument, place), axis
         at = ", ".join(f"{coordinate:.0f}" for coordinate in place)
         stands = "" if axis == _UP else f", on its side with its standing axis along {axis}"
-        lines.append(f"a further station at ({at}) mm{stands}: {wish.aim} {roughly(worth, 'um')}")
+        size = (
+            f"{two_digits(100 * worth)} % of the largest usual errors"
+            if wish.aim == _INSTRUMENT
+            else roughly(worth, "um")
+        )
+        lines.append(f"a further station at ({at}) mm{stands}: {wish.aim} {size}")
     head = ("station [text]", "x [mm]", "y [mm]", "z [mm]", "worth", *(("axis [text]",) if wish.rolled else ()))
     return lines, Table.of_rows(head, rows)
 
@@ -207,7 +213,7 @@ def _further(
 def _value(network: Network, aim: str) -> float:
     """Return what a plan makes small; for the instrument the mean square of its errors in their usual sizes."""
     solution = _solution(network)
-    if aim != "instrument":
+    if aim != _INSTRUMENT:
         return _worth(solution, aim)
     shares = [_relative(row) for row in _seen(network, solution)]
     return float(np.sqrt(np.mean(np.minimum(shares, _BLIND) ** 2))) if shares else float("inf")

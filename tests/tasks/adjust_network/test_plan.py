@@ -12,6 +12,7 @@ from simulated.network import SIZE, Array, polar, turned
 
 from metrocli.formats import csv, hdf5
 from metrocli.table import Columns, columns
+from metrocli.units import two_digits
 
 Metrocli = Callable[..., Any]
 AZIMUTH, ELEVATION, DISTANCE = 2e-6, 3e-5, 0.1
@@ -110,3 +111,10 @@ def test_further_stations_that_cannot_be_are_refused(
     path = job(tmp_path, plan=f"plan: {{{plan}}}\n", places=CORNERS, kind=kind)
     ran = metrocli("plan", path, "--out", tmp_path / "plan")
     assert ran.code == 3 and says in ran.err
+
+
+def test_errors_of_the_instrument_are_stated_in_their_usual_sizes(tmp_path: Path, metrocli: Metrocli) -> None:
+    said, table = candidates(tmp_path, metrocli, f"{REGION}, aim: instrument")
+    least = 100 * table.numbers("worth").min()
+    (line,) = (text for text in said.splitlines() if text.startswith("a further station"))
+    assert line.endswith(f"mm: instrument {two_digits(least)} % of the largest usual errors")
