@@ -160,12 +160,8 @@ class AdjustedJob:
     """Number of parts (images) whose readings may share errors with `noise: structured`; 0 if the kind has no such"""
     states_correlated: bool = False
     """Whether a job of its kind can have correlated errors in its model"""
-    patient: bool = False
-    """Whether the search goes on beside dominant effects that were not adjusted"""
     not_sought: Mapping[str, str] = field(default_factory=dict)
     """Names of effects that cannot be searched for in these readings, each with the reason"""
-    even: frozenset[str] = frozenset()
-    """Kinds of unit that count as equally noisy, because a law explains what seemed to be noise of one of them"""
     budget: Budget = field(default_factory=Budget)
     """CPU time for the search of effects"""
     made_together: tuple[str, ...] = ()

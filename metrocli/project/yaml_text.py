@@ -121,7 +121,6 @@ class _Open:
 
     node: Node
     children: list[Node] = field(default_factory=list)
-    repeated: bool = False
     anchor: str = ""
 
 
