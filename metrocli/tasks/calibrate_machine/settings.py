@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 from metrocli.frozen import dataclass
 from metrocli.instruments.axes.rotary import LOCATIONS, ROTARY_NAMES, SPINDLE_NAMES, WORDS, errors_by_word
 from metrocli.instruments.machine import ALL_NAMES, ANGLES, AXES, SQUARENESS_NAMES, canonical, is_angle
-from metrocli.settings import Choice, Either, Flag, ListOf, Section, Whole, WithUnit, setting
+from metrocli.settings import Choice, Either, Flag, ListOf, Section, Whole, WithUnit, setting, settings_of
 from metrocli.tasks.calibrate_machine.files import Inputs
 from metrocli.tasks.calibrate_machine.machine_settings import (
     ESTIMATED,
@@ -46,6 +46,8 @@ _OPTIONAL = {
 """Further inputs, and the methods that take them"""
 _OF_ANY_CHAIN = ("stations", "network")
 """Those that machines without rotary axes take too"""
+_OF_METHODS = {"instrument": (STANDSTILL, LENGTHS), "sensor": (PROBING,), "corner": (ON_THE_FLY,)}
+"""Settings that some methods alone read"""
 _NOISE = {
     STANDSTILL: ("beam",),
     ON_THE_FLY: ("beam",),
@@ -54,6 +56,14 @@ _NOISE = {
     PROBING: ("probing",),
 }
 """Standard deviations that each method needs"""
+_OTHER_NOISE = {
+    STANDSTILL: ("lateral", "radial"),
+    ON_THE_FLY: ("lateral", "radial"),
+    SIX_DOF: ("straightness", "angle"),
+    LENGTHS: ("proportional", "repeatability"),
+    PROBING: (),
+}
+"""Further ones that it uses"""
 
 
 @dataclass(frozen=True)
@@ -220,6 +230,9 @@ class Settings:
         unused, used = (unused, used) if self.angular else (used, unused)
         if getattr(self.positioning, unused):
             yield f"positioning.{unused}", f"the lines read no such quantity: write `{used}`"
+        for key, methods in _OF_METHODS.items():
+            if self.method not in methods and getattr(self, key) != getattr(Settings, key):
+                yield key, f"method {self.method} does not use this key (of {' and '.join(methods)}): leave it out"
         for key, what in (("scale", "scales of tracking interferometers"), ("environment", "lengths to correct")):
             if getattr(self, key) is not None and self.method != LENGTHS:
                 yield key, f"method {self.method} has no {what}: leave this key out"
@@ -230,6 +243,10 @@ class Settings:
             if self.noise != MachineNoise():
                 yield "noise", "the points have the covariance of their network: leave this key out"
             return
+        used = (*_NOISE[self.method], *_OTHER_NOISE[self.method], "model")
+        for key in settings_of(MachineNoise):
+            if key not in used and getattr(self.noise, key) != getattr(MachineNoise, key):
+                yield f"noise.{key}", f"method {self.method} does not use the noise '{key}': leave this key out"
         for key in ("angle",) if self.angular else _NOISE[self.method]:
             if getattr(self.noise, key) is None:
                 yield "noise", f"method {self.method} needs the noise '{key}'"
