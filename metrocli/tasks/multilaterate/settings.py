@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 from metrocli.frozen import dataclass
@@ -137,6 +138,12 @@ class Settings:
     simulation: LengthSimulation | None = setting(
         Section(LengthSimulation), "the truth for `metrocli simulate`", default=None
     )
+
+    def faults(self) -> Iterator[tuple[str, str]]:
+        """Yield a fault for each setting of probed points where none are given."""
+        for key in ("tolerance", "correction"):
+            if self.inputs.probing is None and getattr(self, key) != getattr(Settings, key):
+                yield key, "this is of probed points: give `inputs: {probing: probing.csv}`, or leave it out"
 
 
 _STATISTICS = (

@@ -220,3 +220,10 @@ def test_a_wrong_entry_among_the_points_is_named(folder: Path, metrocli: Metrocl
     ran = metrocli("multilaterate", "job.yaml")
     assert ran.code == 0, ran.err
     assert "the entries of 1 points may be wrong: P8 lie up to 0.969 mm" in ran.err
+
+
+@pytest.mark.parametrize("key", ["tolerance: 2 mm", "correction: {tip: 0.3 um}"])
+def test_settings_of_probed_points_need_them(key: str, folder: Path, metrocli: Metrocli) -> None:
+    (folder / "job.yaml").write_text(JOB + key + "\n")
+    ran = metrocli("check", "job.yaml")
+    assert ran.code == 3 and "this is of probed points" in ran.err
