@@ -150,6 +150,8 @@ class NetworkInstrument:
         """Yield (key, message) for keys that do not belong to the type."""
         if self.type == INTERFEROMETER and self.levelled is not None:
             yield "levelled", "an interferometer has no standing axis"
+        if self.type != INTERFEROMETER and self.measures != "changes":
+            yield "measures", f"this is of interferometers; a {self.type} reads distances: leave it out"
         if self.type == INTERFEROMETER and (self.noise is None or self.noise.distance is None):
             yield "noise", "an interferometer needs `noise: {distance: {constant: 0.3 um, proportional: 0.1 um/m}}`"
 
@@ -240,7 +242,9 @@ class Settings:
     )
 
     def faults(self) -> Iterable[tuple[str, str]]:
-        """Yield a fault for a levelled instrument that is to stand on its side."""
+        """Yield a fault for datum points that nothing uses, and for a levelled instrument on its side."""
+        if self.datum == GIVEN and self.datum_points is not None:
+            yield "datum_points", f"these are of inner constraints: leave them out, or write `datum: {INNER}`"
         name = self.of_further_stations
         if self.plan is not None and self.plan.rolled and name is not None and self.instruments[name].is_levelled:
             yield (

@@ -79,7 +79,19 @@ CASES: dict[str, tuple[int, str, dict[str, str], str, str]] = {
     "given points": (
         4, "the given points leave open", {"readings": POLAR + FOUR, "points": POINTS}, "datum: given\n", ", points: points.csv"
     ),
+    "a list that the datum leaves unused": (
+        3, "these are of inner constraints", {"readings": POLAR + FOUR}, "datum: given\ndatum_points: [A]\n", ""
+    ),
 }  # fmt: skip
+
+
+def test_what_an_interferometer_measures_is_no_key_of_a_tracker(tmp_path: Path, metrocli: Metrocli) -> None:
+    (tmp_path / "readings.csv").write_text(POLAR + FOUR)
+    (tmp_path / "stations.csv").write_text("station,instrument\nS1,LT1\n")
+    job = JOB.format(keys="", more="").replace("{type: tracker, ", "{type: tracker, measures: absolute, ")
+    (tmp_path / "job.yaml").write_text(job)
+    ran = metrocli("check", tmp_path / "job.yaml")
+    assert ran.code == 3 and "a tracker reads distances" in ran.err
 
 
 @pytest.mark.parametrize("case", CASES)
