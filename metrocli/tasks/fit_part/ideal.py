@@ -26,8 +26,10 @@ _SHOWN = 3
 
 
 def ideal(nominal: NominalFile | Triangles, unit: str = "mm") -> OfSurfaces | OfMesh:
-    """Return the ideal part; raises InputError if a mesh is open or inverted."""
+    """Return the ideal part; raises InputError if a mesh is open or inverted, or if surfaces have a unit of a mesh."""
     if isinstance(nominal, NominalFile):
+        if unit != "mm":
+            raise InputError("nominal_unit: this is of a mesh; surfaces are listed with their units: leave it out")
         return OfSurfaces(Surfaces.of([_surface(surface) for surface in nominal.surfaces]))
     mesh = replace(nominal, vertices=nominal.vertices * SIZES[unit])
     _must_be_closed(mesh)

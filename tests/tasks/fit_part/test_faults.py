@@ -61,6 +61,11 @@ def test_nominals(before: str, after: str, message: str, tmp_path: Path, metrocl
     assert ran.code == 3 and message in ran.err and "part.yaml:" in ran.err
 
 
+def test_the_unit_of_a_mesh_is_none_of_surfaces(tmp_path: Path, metrocli: Metrocli) -> None:
+    ran = metrocli("check", casting(1).write(tmp_path), "--set", "nominal_unit=cm")
+    assert ran.code == 3 and "nominal_unit: this is of a mesh" in ran.err
+
+
 @pytest.mark.parametrize(
     ("before", "after", "name"),
     [
