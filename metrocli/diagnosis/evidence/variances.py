@@ -79,7 +79,6 @@ class _Blocks:
     """Those of each unit, or of all units at once, (units, components*knots, components*knots)"""
     right: Array
     """(units, components*knots)"""
-    components: int
 
     def turned(self, turn: Array) -> tuple[Array, Array]:
         """Return them for a turn of the knots (knots, k)."""
@@ -97,7 +96,7 @@ def _blocks(state: State, number: int) -> _Blocks:
     m, own = state.measurement, state.measurement.knots[number]
     knots, count = len(own.functions.distances), own.functions.count
     if m.local[number]:
-        return _Blocks(*_of_units(state, number), own.components)
+        return _Blocks(*_of_units(state, number))
     gram = state.gram(("functions", number), own.functions.columns)
     along = np.asarray(own.functions.columns.T @ state.residual)
     # from component, unit, knot to unit, component, knot
@@ -105,7 +104,7 @@ def _blocks(state: State, number: int) -> _Blocks:
     gram = gram.reshape(each, count, knots, each, count, knots).transpose(1, 0, 2, 4, 3, 5)
     size = each * knots
     right = along.reshape(each, count, knots).transpose(1, 0, 2).reshape(count, size)
-    return _Blocks(gram.reshape(count * size, count * size)[None], right.reshape(1, -1), each * count)
+    return _Blocks(gram.reshape(count * size, count * size)[None], right.reshape(1, -1))
 
 
 def _of_units(state: State, number: int) -> tuple[Array, Array]:

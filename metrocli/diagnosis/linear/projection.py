@@ -16,7 +16,7 @@ from functools import cached_property
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array, Block
-from metrocli.adjust.model.chain import Link, through
+from metrocli.adjust.model.chain import through
 from metrocli.adjust.model.groups import Group, LinearGroup
 from metrocli.adjust.model.observations import Index, Mask
 from metrocli.adjust.schur.layout import Layout
@@ -221,7 +221,6 @@ class Linearised:
 class ChainValues:
     """The values before each link of a chain, and the derivatives of the reading by them."""
 
-    links: tuple[Link, ...]
     values: tuple[Array, ...]
     """Input (in, n) of each link, then the predicted reading"""
     outer: tuple[Array | None, ...]
@@ -230,15 +229,13 @@ class ChainValues:
 
 def run_of(group: Group, blocks: Mapping[str, Block]) -> ChainValues:
     """Return the values and derivatives along a chain at the values of the blocks."""
-    links, steps = group.chain.links, group.chain.steps(blocks, group.observations, frozenset(blocks))
+    steps = group.chain.steps(blocks, group.observations, frozenset(blocks))
     outer: list[Array | None] = [None]
     # without the first link, which has no input
     for step in steps[:0:-1]:
         after, by_input = outer[0], step.by_input
         outer.insert(0, after if by_input is None else by_input if after is None else through(after, by_input))
-    return ChainValues(
-        links, (np.zeros((0, group.observations.count)), *(step.value for step in steps)), (None, *outer)
-    )
+    return ChainValues((np.zeros((0, group.observations.count)), *(step.value for step in steps)), (None, *outer))
 
 
 def by_rows(linear: LinearGroup) -> Array:

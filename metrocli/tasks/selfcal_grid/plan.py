@@ -34,7 +34,6 @@ class _Worth:
     gain: float
     """Root mean square standard uncertainty of the machine error over the noise; inf if a direction is open"""
     largest: float
-    readings: int
 
 
 @dataclass(frozen=True)
@@ -101,7 +100,7 @@ def _worth(views: Sequence[bg.View], half: Index, given: _Given) -> _Worth:
     left_open = opened(problem, taken)
     std = np.where(determined(problem, taken)[bg.MACHINE], taken.std(bg.MACHINE), np.inf)[problem.grid.within > 0]
     std = std / given.settings.declared
-    return _Worth(left_open, float(np.sqrt((std**2).mean())), float(std.max()), problem.readings.observations.count)
+    return _Worth(left_open, float(np.sqrt((std**2).mean())), float(std.max()))
 
 
 def _problem(views: Sequence[bg.View], half: Index, given: _Given) -> GridProblem:

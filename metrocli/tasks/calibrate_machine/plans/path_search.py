@@ -34,12 +34,11 @@ Planned = Callable[[Path], MachineProblem]
 
 @dataclass(frozen=True)
 class ChosenPath:
-    """A path, and its worst ratio of volume error to path misfit."""
+    """A path, and the tool of each of its legs."""
 
     vertices: Array
     """(n, 3)"""
     tool: Index
-    ratio: float
 
 
 def edges_and_diagonals(machine: Machine) -> Path:
@@ -110,7 +109,7 @@ def search(machine: Machine, planned: Planned, wanted: PathRequirements) -> Chos
     """Return a path that reaches the wanted ratio, or the best one found up to the longest length."""
     rng = np.random.default_rng(wanted.seed)
     volume, floor = _begin(machine, planned, wanted, rng)
-    vertices, tool, length, ratio = [machine.low], [0], 0.0, float("inf")
+    vertices, tool, length = [machine.low], [0], 0.0
     seen = np.zeros_like(floor)
     while True:
         ratio, modes = volume.worst(seen / max(length, 1.0) + floor)
@@ -135,7 +134,7 @@ def search(machine: Machine, planned: Planned, wanted: PathRequirements) -> Chos
         if now != tool[-1]:
             vertices, tool = [*vertices, vertices[-1]], [*tool, now]
         vertices, tool = [*vertices, choice.end[best]], [*tool, now]
-    return ChosenPath(np.array(vertices), np.array(tool, dtype=np.intp), ratio)
+    return ChosenPath(np.array(vertices), np.array(tool, dtype=np.intp))
 
 
 def _begin(
