@@ -35,8 +35,6 @@ class Covariate:
     """Its name in the file (t_s, temp_degC), or in words (beam direction)"""
     values: PerReading
     """Values (n,), or (k, n) if it has several coordinates, such as a direction"""
-    degree: int = 5
-    """Degree of the polynomials that are tried, or the highest harmonic"""
     angle: bool = False
     """Whether it is an angle, so that harmonics of it are tried"""
     periodic: bool = False

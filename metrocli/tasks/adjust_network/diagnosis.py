@@ -63,12 +63,12 @@ def adjusted_job(solved: AdjustedNetwork) -> AdjustedJob:
 def covariates(model: Model) -> Iterator[Covariate]:
     """Yield the quantities with which an unknown effect on sightings could vary."""
     groups = [group for group in model.readings if is_sighting(group)]
-    yield from in_time(groups, 6)
+    yield from in_time(groups)
     seen = {group.name: _ideal(model, group) for group in groups}
     if seen:
-        yield Covariate("azimuth", {name: values[AZIMUTH] for name, values in seen.items()}, 4, angle=True)
-        yield Covariate("elevation", {name: values[ELEVATION] for name, values in seen.items()}, 4)
-        yield Covariate("distance_mm", {name: values[DISTANCE] for name, values in seen.items()}, 5)
+        yield Covariate("azimuth", {name: values[AZIMUTH] for name, values in seen.items()}, angle=True)
+        yield Covariate("elevation", {name: values[ELEVATION] for name, values in seen.items()})
+        yield Covariate("distance_mm", {name: values[DISTANCE] for name, values in seen.items()})
 
 
 def _ideal(model: Model, group: Group) -> Array:

@@ -66,10 +66,10 @@ def all_covariates(model: Model) -> list[Covariate]:
     angle = np.arctan2(rotations[:, 1, 0], rotations[:, 0, 0])
     return [
         *covariates(model),
-        place_of_target(model, 2),
-        covariate("place of the spindle", spindle_poses[index["view"], :3].T, 2),
+        place_of_target(model),
+        covariate("place of the spindle", spindle_poses[index["view"], :3].T),
         # as cosine and sine, which do not jump after a whole turn
-        covariate("turn of the spindle", np.stack([np.cos(angle), np.sin(angle)]), 2),
+        covariate("turn of the spindle", np.stack([np.cos(angle), np.sin(angle)])),
     ]
 
 

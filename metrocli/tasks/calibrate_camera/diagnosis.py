@@ -56,7 +56,7 @@ def all_covariates(model: Model) -> list[Covariate]:
     """Return the covariates of the image points of a calibration."""
     # what all images share over the image is the shape of the lens
     known = (replace(covariate, of_units=covariate.name == PLACE) for covariate in covariates(model))
-    return [*known, place_of_target(model, 3)]
+    return [*known, place_of_target(model)]
 
 
 def _moved(model: Model) -> Callable[[Effect, Mapping[str, str]], Array | None]:

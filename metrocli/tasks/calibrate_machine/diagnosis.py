@@ -122,26 +122,26 @@ def covariates(model: Model) -> Iterator[Covariate]:
     group = model.readings[0]
     conditions, name = group.observations.conditions, group.name
     if ELAPSED in conditions:
-        yield Covariate("t_s", {name: conditions[ELAPSED]}, 6, periodic=True)
+        yield Covariate("t_s", {name: conditions[ELAPSED]}, periodic=True)
     else:
         order = np.arange(group.observations.count, dtype=float)
-        yield Covariate("order of the readings", {name: order}, 6, periodic=True)
+        yield Covariate("order of the readings", {name: order}, periodic=True)
     if NOMINAL[0] in conditions:
         position = np.stack([conditions[axis] for axis in NOMINAL])
-        yield Covariate("place in the machine", {name: position}, 3)
+        yield Covariate("place in the machine", {name: position})
     joined = (link for link in group.chain.links if isinstance(link, LINKS) and not isinstance(link, ReachedPoint))
     axes = {axis.letter: axis for link in joined for axis in link.machine.axes}
     for axis in (moved for moved in axes.values() if isinstance(moved, RotaryAxis)):
-        yield Covariate(f"{axis.letter.lower()}_deg", {name: conditions[axis.coordinate]}, 6, angle=axis.periodic)
+        yield Covariate(f"{axis.letter.lower()}_deg", {name: conditions[axis.coordinate]}, angle=axis.periodic)
     if WARMING in conditions:
-        yield Covariate("temp_degC", {name: conditions[WARMING]}, 6)
+        yield Covariate("temp_degC", {name: conditions[WARMING]})
     if TRACER in model.blocks:
         to = Chain(tuple(link for link in group.chain.links if isinstance(link, LINKS)))
         yield from of_beam(group, beams(to, model.blocks, group.observations))
     if TRACKER in model.blocks:
         seen = poses.apply(poses.inverse(model.blocks[TRACKER].values[0]), position.T).T
-        yield Covariate("distance from the tracker", {name: np.linalg.norm(seen, axis=0)}, 4)
-        yield Covariate("azimuth of the beam", {name: np.arctan2(seen[1], seen[0])}, 3, angle=True)
+        yield Covariate("distance from the tracker", {name: np.linalg.norm(seen, axis=0)})
+        yield Covariate("azimuth of the beam", {name: np.arctan2(seen[1], seen[0])}, angle=True)
 
 
 def _parts(group: Group) -> Index:

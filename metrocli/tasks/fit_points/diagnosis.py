@@ -42,7 +42,7 @@ def covariates(model: Model) -> tuple[Covariate, ...]:
     """Return the place in the measured list, with which an unknown effect could vary."""
     at = model.blocks[POINT].values
     places = {group.name: np.ascontiguousarray(at[group.observations.index[POINT]].T) for group in model.readings}
-    return (Covariate("place of the point", places, 2),)
+    return (Covariate("place of the point", places),)
 
 
 def refitted(model: Model, keep: Mapping[str, Mask]) -> Solution:

@@ -29,9 +29,6 @@ from metrocli.tasks.shared.diagnosed import FOLDS, in_parts
 from metrocli.tasks.shared.noise import NoiseFound, noise_found
 from metrocli.tasks.shared.uncontrolled import SCALE, SCALE_WORDS, Hidden, table_of
 
-_DEGREE, _FEWEST_FOR = 6, 4
-"""Largest degree of polynomials in time; each term needs four poses"""
-
 
 def adjusted_job(located: Located) -> AdjustedJob:
     """Return an adjusted location in the form that diagnosis needs.
@@ -66,20 +63,19 @@ def adjusted_job(located: Located) -> AdjustedJob:
 def covariates(model: Model) -> Iterator[Covariate]:
     """Yield the quantities with which an unknown effect could vary: time, temperature, encoder angles, and the beam."""
     groups = model.readings
-    degree = max(1, min(_DEGREE, min(group.observations.count for group in groups) // _FEWEST_FOR))
     for name, key in (("t_s", ELAPSED), ("temp_degC", WARMING)):
         if all(key in group.observations.conditions for group in groups):
-            yield Covariate(name, {group.name: group.observations.conditions[key] for group in groups}, degree)
+            yield Covariate(name, {group.name: group.observations.conditions[key] for group in groups})
             yield Covariate(name, {group.name: _moving(model, group, key) for group in groups}, together=True)
     if any(ELAPSED not in group.observations.conditions for group in groups):
-        yield Covariate("order of the poses", {group.name: _pose(group).astype(float) for group in groups}, degree)
+        yield Covariate("order of the poses", {group.name: _pose(group).astype(float) for group in groups})
     encoders = {group.name: group.observations.readings[0] for group in groups if group.name != lu.DISTANCE}
-    yield Covariate("encoder angle", encoders, min(degree, 3), angle=True)
+    yield Covariate("encoder angle", encoders, angle=True)
     beams = {group.name: _beam(model, group) for group in groups}
     azimuth: PerReading = {name: np.arctan2(beam[1], beam[0]) for name, beam in beams.items()}
-    yield Covariate("beam azimuth", azimuth, min(degree, 3), angle=True)
-    yield Covariate("beam tilt", {name: np.arcsin(b[2] / np.linalg.norm(b, axis=0)) for name, b in beams.items()}, 3)
-    yield Covariate("length_mm", {name: np.linalg.norm(beam, axis=0) for name, beam in beams.items()}, 3)
+    yield Covariate("beam azimuth", azimuth, angle=True)
+    yield Covariate("beam tilt", {name: np.arcsin(b[2] / np.linalg.norm(b, axis=0)) for name, b in beams.items()})
+    yield Covariate("length_mm", {name: np.linalg.norm(beam, axis=0) for name, beam in beams.items()})
 
 
 def _moving(model: Model, group: Group, condition: str) -> Array:

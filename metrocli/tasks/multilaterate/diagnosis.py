@@ -74,7 +74,7 @@ def covariates(model: Model) -> Iterator[Covariate]:
     yield from in_order(group)
     yield from of_beam(group, t.beams(t.reach(), model.blocks, group.observations))
     points = model.blocks[t.POINT].values[group.observations.index[t.POINT]].T
-    yield Covariate("place of the point", {LENGTHS: np.ascontiguousarray(points)}, 3)
+    yield Covariate("place of the point", {LENGTHS: np.ascontiguousarray(points)})
 
 
 def folds(point: Index, conditions: Mapping[str, Array]) -> Index:

@@ -62,7 +62,7 @@ def _covariates(model: Model) -> Iterator[Covariate]:
     group = model.readings[0]
     yield from in_order(group)
     nominal: Array = group.chain.predict(model.blocks, group.observations)
-    yield Covariate("place in the machine", {READINGS: np.ascontiguousarray(np.round(nominal, 1))}, 3)
+    yield Covariate("place in the machine", {READINGS: np.ascontiguousarray(np.round(nominal, 1))})
 
 
 def offers(problem: GridProblem, model: Model) -> Iterator[tuple[str, Model]]:

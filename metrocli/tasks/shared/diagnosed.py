@@ -22,24 +22,24 @@ def in_parts(order: Array, count: int) -> Index:
     return np.asarray(rank * count // max(len(order), 1), dtype=np.intp)
 
 
-def in_time(groups: Sequence[Group], degree: int) -> Iterator[Covariate]:
+def in_time(groups: Sequence[Group]) -> Iterator[Covariate]:
     """Yield time and temperature of the readings, as far as all groups have them."""
     for name, condition in (("t_s", ELAPSED), ("temp_degC", WARMING)):
         if groups and all(condition in group.observations.conditions for group in groups):
-            yield Covariate(name, {group.name: group.observations.conditions[condition] for group in groups}, degree)
+            yield Covariate(name, {group.name: group.observations.conditions[condition] for group in groups})
 
 
 def in_order(group: Group) -> Iterator[Covariate]:
     """Yield time and temperature of the readings, and their order where they have no times."""
-    yield from in_time([group], 6)
+    yield from in_time([group])
     if ELAPSED not in group.observations.conditions:
         order = np.arange(group.observations.count, dtype=float)
-        yield Covariate("order of the readings", {group.name: order}, 6)
+        yield Covariate("order of the readings", {group.name: order})
 
 
 def of_beam(group: Group, beam: Array) -> Iterator[Covariate]:
     """Yield length and direction of the beams (3, n) of lengths."""
     length = np.sqrt((beam**2).sum(axis=0))
-    yield Covariate("length_mm", {group.name: length}, 5)
-    yield Covariate("beam azimuth", {group.name: np.arctan2(beam[1], beam[0])}, 4, angle=True)
-    yield Covariate("beam elevation", {group.name: beam[2] / length}, 4)
+    yield Covariate("length_mm", {group.name: length})
+    yield Covariate("beam azimuth", {group.name: np.arctan2(beam[1], beam[0])}, angle=True)
+    yield Covariate("beam elevation", {group.name: beam[2] / length})

@@ -76,7 +76,7 @@ def beside_waves(*sizes: float) -> State:
     job = lengths.measurement(rng, 60).adjusted()
     group = job.model.readings[0]
     order = [rng.permutation(group.observations.count).astype(float) for _ in sizes]
-    waves = [Covariate(f"order {number}", {group.name: one}, 3, periodic=True) for number, one in enumerate(order)]
+    waves = [Covariate(f"order {number}", {group.name: one}, periodic=True) for number, one in enumerate(order)]
     m = measurement_of(replace(job, covariates=tuple(waves)), quick=True)
     unknown = [number for number, family in enumerate(m.families) if family.unknown]
     scale = number_of_effect(m, "tracer-scale")

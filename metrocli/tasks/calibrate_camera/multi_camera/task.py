@@ -106,12 +106,12 @@ def adjusted_job(system: CameraSystem, adjusted: AdjustedImages) -> AdjustedJob:
     """Return adjusted cameras as input of `diagnose`; cross-validation holds out whole exposures."""
     model = at_solution(system.model, adjusted)
     index = model.readings[0].observations.index
-    order = covariate("order of the images", index["view"].astype(float), 5)
+    order = covariate("order of the images", index["view"].astype(float))
     return AdjustedJob(
         KIND.name,
         model,
         EFFECTS,
-        named([order, place_of_target(model, 3)]),
+        named([order, place_of_target(model)]),
         ("image",),
         folds(index["view"]),
         Delivered("places of the cameras", camera.MOUNT, (0, 1, 2), "um", "length"),

@@ -42,28 +42,28 @@ def covariates(model: Model) -> list[Covariate]:
     conditions, view = observations.conditions, observations.index["view"].astype(float)
     # Predicted image points: the readings would put their own noise into the covariates.
     off = group.chain.predict(model.blocks, observations) - lens.values[:, lens.mask(("cx", "cy"))][of].T
-    order = covariate("order of the images", view, 5)
+    order = covariate("order of the images", view)
     if ELAPSED in conditions:
-        order = covariate("t_s", conditions[ELAPSED], 5)
+        order = covariate("t_s", conditions[ELAPSED])
     orders = [replace(order, periodic=True)]
     if WARMING in conditions:
-        orders.append(covariate("temp_degC", conditions[WARMING], 5))
-    orders.append(covariate(PLACE, off, 5))
-    orders.append(covariate("image radius", np.hypot(*off), 5))
-    orders.append(replace(covariate("image azimuth", np.arctan2(off[1], off[0]), 8), angle=True))
-    orders.append(covariate("distance from the camera", in_camera[2], 4))
+        orders.append(covariate("temp_degC", conditions[WARMING]))
+    orders.append(covariate(PLACE, off))
+    orders.append(covariate("image radius", np.hypot(*off)))
+    orders.append(replace(covariate("image azimuth", np.arctan2(off[1], off[0])), angle=True))
+    orders.append(covariate("distance from the camera", in_camera[2]))
     return orders
 
 
-def place_of_target(model: Model, degree: int) -> Covariate:
+def place_of_target(model: Model) -> Covariate:
     """Return the place of the target of each reading in the target list."""
     places = model.blocks[TARGET].values[model.readings[0].observations.index[TARGET]]
-    return covariate("place of the target", places.T, degree)
+    return covariate("place of the target", places.T)
 
 
-def covariate(name: str, values: Array, degree: int) -> Covariate:
-    """Return a covariate of the image points, tried with polynomials (an angle: harmonics) up to this degree."""
-    return Covariate(name, {IMAGES: np.ascontiguousarray(values)}, degree)
+def covariate(name: str, values: Array) -> Covariate:
+    """Return a covariate of the image points."""
+    return Covariate(name, {IMAGES: np.ascontiguousarray(values)})
 
 
 def folds(unit: Index) -> Mapping[str, Index]:
