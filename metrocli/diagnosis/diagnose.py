@@ -26,7 +26,7 @@ from metrocli.diagnosis.evidence.search import pruned
 from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.explanations import correlated_errors, noise_instead, random_effects, smooth, with_confirmed
 from metrocli.diagnosis.extended_fit import extended_fit, readings_kept, result_changes, sizes
-from metrocli.diagnosis.findings import Diagnosis, Finding, RemainingStructure, Unconfirmed
+from metrocli.diagnosis.findings import UNREACHED, Diagnosis, Finding, RemainingStructure, Unconfirmed
 from metrocli.diagnosis.laws.search import Law, with_laws
 from metrocli.diagnosis.linear.memory import as_fits
 from metrocli.diagnosis.linear.projection import Linearised
@@ -257,7 +257,7 @@ def _left(
     against = [effect.name for effect in unconfirmed if effect.log_score <= 0]
     if (against or job.budget.ended) and (level := strongest(state)) < LEVEL:
         unnamed = f"what held-out readings do not confirm ({', '.join(against)})"
-        return RemainingStructure(level, (unnamed if against else "what the search did not reach",))
+        return RemainingStructure(level, (unnamed if against else UNREACHED,))
     return None
 
 

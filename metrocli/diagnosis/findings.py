@@ -38,6 +38,10 @@ class Verdict(StrEnum):
     """A quick diagnosis, which did not look for all that could be left"""
 
 
+UNREACHED = "what the search did not reach"
+"""What structure varies with if the search ended before it was looked at"""
+
+
 @dataclass(frozen=True)
 class RemainingStructure:
     """Structure that no known effect explains."""
@@ -201,6 +205,13 @@ class Diagnosis:
     def ended_early(self) -> str:
         """Why it ended before all was tried, in words; "" if it did not."""
         return "interrupted" if self.interrupted else f"limit of {self.limited:g} s" if self.limited is not None else ""
+
+    @property
+    def found_nothing_yet(self) -> bool:
+        """Whether the time was spent before the search found anything of what is there."""
+        found = self.findings, self.scatters, self.laws, self.correlated_errors, self.unconfirmed
+        unreached = self.left is not None and self.left.depends_on == (UNREACHED,)
+        return self.limited is not None and not self.interrupted and unreached and not any(found)
 
     @property
     def verdict(self) -> Verdict:

@@ -146,7 +146,7 @@ class Effect:
     source: str = ""
     """Paper, standard or practice that describes it"""
     limited: bool = False
-    """Whether `diagnose` tries it only where it sees sizes up to the plausible: larger ones cannot be"""
+    """Whether `diagnose` tries it only where it sees sizes up to the plausible, not up to those that can be adjusted"""
     selects: bool = False
     """Whether its link finds the readings of its place itself, because a reading concerns several places of the kind"""
     turns: bool = False

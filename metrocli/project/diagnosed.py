@@ -93,9 +93,9 @@ def carry_out(
         diagnosis = answer
     else:
         diagnosis = diagnose(adjusted, progress, limit, attended, counted(ordered, progress), quick)
-    if answer is not None and answer.findings and diagnosis.ended_early and not diagnosis.findings:
-        # what was shown as found stays where the time was spent before the whole search came to it
-        diagnosis = replace(answer, limited=diagnosis.limited, interrupted=diagnosis.interrupted)
+    if answer is not None and answer.findings and diagnosis.found_nothing_yet:
+        # what was shown as found stays
+        diagnosis = replace(answer, design=diagnosis.design, limited=diagnosis.limited, quick=False)
     if mistaken is not None and mistaken.after >= mistaken.before and diagnosis.findings:
         mistaken = None  # a wrong list that no correction mends explains less than an effect does
     return replace(diagnosis, mistaken=mistaken)
@@ -162,8 +162,7 @@ def write_extended(
 
     `result` is the output of that job, by default `NAME.extended.h5` beside the output of this one. Structure that is
     left stands in it as correlated errors, as a law with `cause: unknown` (the chosen one, or the next simpler one with
-    which the job can be adjusted), or as structured noise. Returns None if nothing changes, or if the job cannot be
-    adjusted with it.
+    which the job can be adjusted), or as structured noise. Returns None if nothing changes.
     In another folder, its paths lead to the same files. Parameters that the readings do not determine separately are 0.
     Raises InputError if the file there is no extended job or was edited since, unless forced, and if it is an input.
     """
@@ -178,12 +177,11 @@ def write_extended(
         _write(job, diagnosis, law, (path, result))
         if _adjusts(path):
             return Extended(path, law)
-    if others:
-        _write(job, diagnosis, None, (path, result))
-        if diagnosis.adjusts or _adjusts(path):
-            return Extended(path, None)
-    path.unlink(missing_ok=True)
-    return None
+    if not others:
+        path.unlink(missing_ok=True)
+        return None
+    _write(job, diagnosis, None, (path, result))
+    return Extended(path, None)
 
 
 def _from_the_chosen(diagnosis: Diagnosis) -> Sequence[Law]:

@@ -95,10 +95,10 @@ def until_clean(
         result = job.output.with_name(f"{job.output.stem}.step{number}.h5")
         simpler = tuple(law for law in last.laws if law.gain.shown) if gained.laws else ()
         extended = write_extended(current, replace(gained, laws=simpler), path, force, result)
-        # what the job cannot be adjusted with is no gain: all of it, or a law
+        # the laws with which the job cannot be adjusted are none
         law = None if extended is None else extended.law
         gained = replace(gained, laws=() if law is None else (law,))
-        if extended is None or not _adds(gained):
+        if not _adds(gained):
             path.unlink(missing_ok=True)
             return Loop(first, last, tuple(extensions), End.NOTHING_GAINED)
         current = load(path, JobOptions(accept_doubtful=job.accept_doubtful))

@@ -23,11 +23,9 @@ from metrocli.diagnosis.diagnose import diagnose
 from metrocli.diagnosis.findings import Diagnosis
 from metrocli.diagnosis.noise import NoiseRatio
 from metrocli.diagnosis.power.collinear import Pair
-from metrocli.errors import UndeterminedError
 from metrocli.project import diagnosed
 from metrocli.project.diagnosed import carry_out
 from metrocli.project.job import JobFile, load
-from metrocli.project.until_clean import End, until_clean
 
 JOB = """metrocli: 1
 job: multilaterate
@@ -705,20 +703,3 @@ def test_a_cause_out_of_reach_of_coarse_readings_is_no_rival(tmp_path: Path, met
     assert incidence["status"] == "not-tested"
     assert incidence["reason"].endswith("beyond the plausible")
     assert metrocli("multilaterate", told["extended_job"]).code in (0, 6)
-
-
-def test_no_extended_job_is_written_with_which_the_job_cannot_be_adjusted(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    job = load(write(tmp_path, measured("tracer-drift", 5.0)))
-    found = replace(carry_out(job), adjusts=False)
-    assert diagnosed.write_extended(job, found) is not None
-
-    def undetermined(_: JobFile) -> None:
-        raise UndeterminedError("nothing determines the drift")
-
-    monkeypatch.setattr(diagnosed, "adjusted_job_of", undetermined)
-    assert diagnosed.write_extended(job, found) is None
-    assert not (tmp_path / "job.extended.yaml").exists()
-    assert until_clean(job, lambda _: found).end is End.NOTHING_GAINED
-    assert not (tmp_path / "job.step1.yaml").exists()

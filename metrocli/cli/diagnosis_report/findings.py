@@ -71,7 +71,8 @@ def of_diagnosis(diagnosis: Diagnosis, extended: Extended | None, full: bool = F
         parts.append(
             ["The job cannot be adjusted with the named effects; their sizes are one-step (linear) estimates."]
         )
-    if extended is not None:
+    # no advice to run a job that would be refused
+    if extended is not None and diagnosis.adjusts:
         parts.append([f"next: `metrocli {job.kind} {extended.path}`, {_extension(diagnosis, extended.law)}"])
     if diagnosis.quick:
         parts.append(["This is the first answer: what explains most. Without `--quick` the search goes on."])
@@ -194,7 +195,7 @@ def _included(diagnosis: Diagnosis) -> str:
 def _processes(diagnosis: Diagnosis) -> Iterator[str]:
     for error in diagnosis.correlated_errors:
         size, chance = error.sized(diagnosis.job.reading[1]), _chance(float(np.exp(error.log_level)))
-        # the length tells two errors over the same covariate apart
+        # two errors over the same covariate differ in it
         length = f"correlated over {100 * error.length:.2g} % of the range"
         yield f"{smooth(error)}: {size} (standard deviation, {chance}; {length})"
         if error.instead_of:

@@ -142,6 +142,8 @@ class Library:
         found = next((one for one in (*self._parts, self) if one.places.issuperset(places)), self)
         if found is self and self.places.difference(places):
             found = Library(self.job, self.system, places)
+            # no number twice: the measurement keeps products by it
+            found.numbers = self.numbers
             self._parts.append(found)
         return found
 

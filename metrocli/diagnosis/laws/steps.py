@@ -100,7 +100,9 @@ def _may_gain(lawful: Lawful, needed: float) -> bool:
         needed -= best[0]
         if needed <= 0 or left == 1:
             break
-        lawful = lawful.plus(*_scanned(lawful, *best[1:]))
+        _, family, number = best
+        # under a number of its own: in the whole library that of the scan is another term
+        lawful = lawful.plus(*_scanned(lawful, family, number, lawful.library.terms[family][number]))
     return True
 
 
