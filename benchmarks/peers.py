@@ -149,8 +149,6 @@ def once(python: str, module: str, function: str, size: int) -> dict[str, Any]:
 def measured(pair: Pair, runs: int) -> Row:
     """Run both in turn."""
     python = python_of(pair.package) if pair.installed else None
-    there = python or environment_of(pair.package)
-    version = "" if pair.package in ("make", "Ceres", "mrcal") else version_of(pair.package, there)
     ours, peer, agreement = [], [], ""
     for _ in range(runs):
         mine = once(sys.executable, pair.module, pair.ours, pair.size)
@@ -160,10 +158,16 @@ def measured(pair: Pair, runs: int) -> Row:
         try:
             other = once(str(python or sys.executable), pair.module, pair.peer, pair.size)
         except RuntimeError as error:
-            return Row(pair, ours, (), "", version, str(error))
+            return Row(pair, ours, (), "", _version(pair, python), str(error))
         peer.append(float(other["seconds"]))
         agreement = agreement_of(mine["values"], other["values"])
-    return Row(pair, ours, peer, agreement, version)
+    return Row(pair, ours, peer, agreement, _version(pair, python))
+
+
+def _version(pair: Pair, python: Path | None) -> str:
+    """Return the version of the peer: after the runs, of which the first may have installed it."""
+    named = pair.package in ("make", "Ceres", "mrcal")
+    return "" if named else version_of(pair.package, python or environment_of(pair.package))
 
 
 def agreement_of(ours: Sequence[Sequence[float]], peer: Sequence[Sequence[float]]) -> str:
