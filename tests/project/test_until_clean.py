@@ -90,7 +90,7 @@ def test_an_interrupted_search_ends_it_with_the_steps_so_far(
             heeded()
         return nullcontext()
 
-    monkeypatch.setattr("metrocli.cli.shell.signals.first_interrupt", attended)
+    monkeypatch.setattr("metrocli.cli.diagnose.first_interrupt", attended)
     lengths = hall / "data" / "lengths.csv"
     head, *rows = [one for one in lengths.read_text().splitlines() if not one.startswith("#")]
     cells = [row.split(",") for row in rows]
