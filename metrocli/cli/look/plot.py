@@ -1,4 +1,4 @@
-"""metrocli plot: a figure of a result as a file, or the names of its figures, and what can be compared with a result."""
+"""metrocli plot: a figure of a result as a file, or the names of its figures, and what a result is compared with."""
 
 from __future__ import annotations
 
