@@ -99,6 +99,10 @@ def _law(job: AdjustedJob, law: Law) -> dict[str, Any]:
             {"name": candidate.effect.name, "where": _where(candidate), "correlation": cosine}
             for candidate, cosine in law.near
         ],
+        "as_likely": [
+            {"acts_on": term.spot.acting.name, "where": dict(term.spot.where), "form": term.form.text}
+            for term in law.as_likely
+        ],
         "chosen": law.chosen,
         "data": _shown(job, law) if law.chosen else None,
     }

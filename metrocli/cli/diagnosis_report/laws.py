@@ -8,6 +8,7 @@ from metrocli import units
 from metrocli.cli.columns import text_table
 from metrocli.diagnosis.findings import Diagnosis
 from metrocli.diagnosis.laws.definition import written
+from metrocli.diagnosis.laws.library import Term
 from metrocli.diagnosis.laws.search import Law
 
 _HEAD = ("", "law", "acts on", "explains", "chance", "held-out error", "log score (± std)")
@@ -30,6 +31,9 @@ def law_lines(diagnosis: Diagnosis, extended: Law | None) -> Iterator[str]:
     near = [f"{candidate} (correlation {cosine:.2f})" for candidate, cosine in law.near]
     if near:
         yield f"It is nearly {' or '.join(near)}: perhaps that cause with another variable or at another place."
+    if law.as_likely:
+        others = [f"{term.form.text} ({_place(term)})" for term in law.as_likely]
+        yield f"These readings hardly distinguish it from {', '.join(others)}."
     yield f"A law is no cause: what acts like this at this place is to be found.{_where(law, extended)}"
 
 
@@ -45,10 +49,13 @@ def _where(law: Law, extended: Law | None) -> str:
 
 
 def _row(law: Law) -> tuple[str, ...]:
-    texts, spot = written(law), law.terms[0].spot
+    texts, place = written(law), _place(law.terms[0])
     adds = "; ".join(f"{name}: {text}" if name else text for name, text in texts.adds.items())
-    place = " ".join([spot.acting.name, *(name for _, name in spot.where)])
     chance = "p < 1e-12" if law.p_value < 1e-12 else f"p = {law.p_value:.2g}"
     score = f"{law.gain.log_score:+.1f} ± {law.gain.log_score_std:.1f}"
     share = f"{100 * law.part_of_structure:.0f} %"
     return "*" if law.chosen else "", adds, place, share, chance, f"{-100 * law.gain.reduction:+.0f} %", score
+
+
+def _place(term: Term) -> str:
+    return " ".join([term.spot.acting.name, *(name for _, name in term.spot.where)])

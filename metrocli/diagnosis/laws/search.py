@@ -16,9 +16,10 @@ from metrocli.diagnosis.adjusted_job import Ordered
 from metrocli.diagnosis.evidence.gain import Gain, Held, gain_of
 from metrocli.diagnosis.evidence.held_out import Others, fold_numbers
 from metrocli.diagnosis.evidence.parts import Fixed
+from metrocli.diagnosis.evidence.prices import ALIKE
 from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.laws.library import Library, Term
-from metrocli.diagnosis.laws.steps import Lawful, among_terms, columns_of_terms, forward
+from metrocli.diagnosis.laws.steps import Lawful, among_terms, best_terms, columns_of_terms, forward
 from metrocli.diagnosis.laws.terms import columns_of
 from metrocli.diagnosis.linear.candidates import Candidate
 from metrocli.diagnosis.linear.quadratics import quadratic
@@ -30,6 +31,8 @@ _SURELY = 5.5
 """Net evidence from which a law of few readings need not be shown by held-out ones"""
 _MOST_ROWS = 25_000
 """Largest number of components of readings for which laws are sought: the columns of all terms are held at once"""
+_MOST_AS_LIKELY = 4
+"""Largest number of other terms that are listed beside a law"""
 _SEEN, _STEPS = 0.5, 400
 """Least change of a reading that is shown beside a law, of that of the most changed; steps of the curve of a law"""
 
@@ -78,6 +81,8 @@ class Law:
     """None for a constant, which has no variable"""
     near: tuple[tuple[Candidate, float], ...] = ()
     """Effects of the catalogue that change the readings nearly as it does, each with the cosine, the nearest first"""
+    as_likely: tuple[Term, ...] = ()
+    """Single terms of other variables, or at other places, that explain the readings as well as its only one"""
     chosen: bool = False
 
 
@@ -100,16 +105,16 @@ def with_laws(state: State, plain: State, ordered: Ordered = map) -> LawSearchRe
     if not m.job.places or m.system.rows > _MOST_ROWS or m.job.budget.ended:
         return LawSearchResult(state)
     library = Library(m.job, plain.measurement.system)
-    best: tuple[Lawful, State] | None = None
+    best: tuple[Lawful, State, Lawful] | None = None
     for base in _bases(plain):
         # what it has to gain is known: a base far behind the state is not searched at all
         start = among_terms(base, library, state.score + _LAW - base.score)
-        lawful = None if start is None else forward(start, 0.0)
-        if lawful is not None and lawful.steps and (best is None or lawful.state.score > best[0].state.score):
-            best = lawful, base
+        lawful = start and forward(start, 0.0)
+        if start and lawful and lawful.steps and (best is None or lawful.state.score > best[0].state.score):
+            best = lawful, base, start
     if best is None or best[0].state.score < state.score + _LAW:
         return LawSearchResult(state)
-    lawful, base = best
+    lawful, base, start = best
     gains = _gains(lawful, base, ordered)
     simpler = [_law(lawful.first(count), base, gain, state) for count, gain in enumerate(gains, 1)]
     chosen = max(simpler, key=lambda law: law.gain.log_score)
@@ -117,9 +122,21 @@ def with_laws(state: State, plain: State, ordered: Ordered = map) -> LawSearchRe
     surely = best[0].state.score > state.score + _SURELY and chosen.gain.log_score > 0
     if not (chosen.gain.shown or surely) or _is_named(chosen, state):
         return LawSearchResult(state)
-    laws = tuple(replace(law, chosen=law is chosen) for law in simpler)
+    as_likely = _as_likely(start, lawful.terms[0])
+    laws = tuple(
+        replace(law, chosen=law is chosen, as_likely=() if count else as_likely) for count, law in enumerate(simpler)
+    )
     terms = [part for _, part in lawful.steps[: len(chosen.terms)]]
     return LawSearchResult(State.of(base.measurement, (*base.fixed, *terms), base.random, base.logs, 0), laws)
+
+
+def _as_likely(start: Lawful, chosen: Term) -> tuple[Term, ...]:
+    """Return the terms whose evidence is like that of the first term of a law; one for each place and its variables."""
+    tried = best_terms(start)
+    terms = [start.library.terms[number][at] for net, number, at in tried if net > tried[0][0] - ALIKE]
+    others = {(term.spot.where, term.form.variables): term for term in reversed(terms)}
+    others.pop((chosen.spot.where, chosen.form.variables), None)
+    return tuple(others.values())[::-1][:_MOST_AS_LIKELY]
 
 
 def _is_named(law: Law, state: State) -> bool:

@@ -16,7 +16,7 @@ from metrocli.frozen import dataclass
 WAVES, SATURATIONS, STEPS = "waves", "saturations", "steps"
 """Forms with a scanned value: their period, time constant or place"""
 _ANGLES = ("azimuth", "angle", "base")
-"""Variables that go round: harmonics of them are tried instead of powers"""
+"""Variables that go round: harmonics of them are tried, and the angle itself, but no higher powers"""
 _SIDE = "from_"
 """Begin of the variables that are directions of approach"""
 _HARMONICS, _POWERS = 4, 3
@@ -32,6 +32,11 @@ class TermForm:
     factors: tuple[str, ...]
     variables: tuple[str, ...]
     scanned: float | None = None
+
+    @property
+    def text(self) -> str:
+        """Its factors, with the scanned value in them."""
+        return ", ".join(self.factors).replace("{s}", "" if self.scanned is None else f"{self.scanned:.4g}")
 
     def powers_of(self) -> dict[str, int]:
         """Return how often each variable is a factor with its unit; none in sines, exponentials and steps."""
@@ -84,6 +89,8 @@ def forms_of(values: Mapping[str, Array], elapsed: Mapping[str, Array], periods:
             for order in range(1, _HARMONICS + 1):
                 turn = f"{order}*{name}" if order > 1 else name
                 yield TermForm("harmonics", (f"sin({turn})", f"cos({turn})"), (name,))
+            # what winds up, such as a cable, or a wrong scale of an encoder
+            yield TermForm("powers", (name,), (name,))
         elif name.startswith(_SIDE):
             yield TermForm("direction", (name,), (name,))
     for name in smooth:

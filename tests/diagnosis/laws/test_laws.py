@@ -209,10 +209,10 @@ def test_the_law_is_a_definition_without_fault(found: Diagnosis) -> None:
 def test_the_data_of_a_law_have_the_keys_of_the_contract(found: Diagnosis) -> None:
     (law,) = as_data(found)["laws"]
     assert set(law) == {
-        "acts_on", "where", "adds", "parameters", "terms", "p_value", "gain", "part_of_structure", "near", "chosen",
-        "data",
+        "acts_on", "where", "adds", "parameters", "terms", "p_value", "gain", "part_of_structure", "near", "as_likely",
+        "chosen", "data",
     }  # fmt: skip
-    assert law["near"] == []
+    assert law["near"] == law["as_likely"] == []
     assert law["chosen"] and law["acts_on"] == "length" and law["parameters"]["a1"]["unit"] == "mm"
 
 
