@@ -12,10 +12,12 @@ from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.evidence.folds import surely
 from metrocli.diagnosis.evidence.identified import all_identified
 from metrocli.diagnosis.evidence.measured_job import measurement_of
+from metrocli.diagnosis.evidence.measurement import Measurement
 from metrocli.diagnosis.evidence.parts import Fixed
 from metrocli.diagnosis.evidence.refined import refined
 from metrocli.diagnosis.evidence.search import forward, pruned, swapped
 from metrocli.diagnosis.evidence.state import State
+from metrocli.diagnosis.evidence.weights import with_noise
 from metrocli.diagnosis.extended_fit import extended_fit, relinearised
 from metrocli.errors import UndeterminedError
 
@@ -65,6 +67,17 @@ def _old_and_new(state: State) -> tuple[list[Fixed], list[Fixed]]:
     return [part for part, is_old in both if is_old], [part for part, is_old in both if not is_old]
 
 
+def _continued(state: State, m: Measurement) -> State:
+    """Return a state in another linearisation: the search there begins with what it has found in the first one."""
+    before, noise = state.measurement, state.measurement.noise
+    same = [family.form for family in before.families] == [family.form for family in m.families]
+    if not same or (len(before.scatters), len(before.knots)) != (len(m.scatters), len(m.knots)):
+        return State.of(m)
+    # one at a refined value of its scan is no alternative there, and is found again
+    there = [part for part in state.fixed if part.is_reading or part.number < len(m.families[part.family].alternatives)]
+    return pruned(state.keeping(there).at(with_noise(m, noise) if noise else m).settled())
+
+
 def searched(job: AdjustedJob, quick: bool = False) -> tuple[State, State]:
     """Return the state of a job as it is, and that of the search about the solution with its dominant effects.
 
@@ -78,10 +91,10 @@ def searched(job: AdjustedJob, quick: bool = False) -> tuple[State, State]:
             "the job has no redundant reading, so no reading can contradict its model\n"
             "measure more; `metrocli diagnose --design` shows what a measurement can detect"
         )
-    first = state = State.of(m)
+    first = state = begin = State.of(m)
     for left in reversed(range(_ROUNDS)):
         # in the last round nothing stops the search: what dominates then is named about the solution that there is
-        state = forward(State.of(m), stop=is_overwhelmed if left else None, least=_MOST_OF_IT if quick else 0.0)
+        state = forward(begin, stop=is_overwhelmed if left else None, least=_MOST_OF_IT if quick else 0.0)
         # not adjusted with effects whose sizes may be nothing: all else would be linearised about these sizes
         state = state if quick else surely(state)
         if not left or not is_dominated(state):
@@ -94,4 +107,6 @@ def searched(job: AdjustedJob, quick: bool = False) -> tuple[State, State]:
             state = forward(state, least=_MOST_OF_IT if quick else 0.0)
             break
         m = measurement_of(relinearised(job, names, fit), None, m, alone)
+        # what the search found before an effect overwhelmed all else was perhaps its higher-order terms
+        begin = State.of(m) if is_overwhelmed(state) else _continued(state, m)
     return first, pruned(refined(state if quick else swapped(state)))

@@ -136,17 +136,23 @@ def moves(state: State, quiet: set[int] | None = None) -> list[Move]:
     """
     quiet = set() if quiet is None else quiet
     if (key := ("moves", frozenset(quiet))) not in state.held:
-        found = [*effects(state), *readings(state), *_masked_readings(state)]
-        random = scattered_effects(state)[:1]
+        found = [*causes(state), *readings(state), *_masked_readings(state)]
         if sum(part.kind == CORRELATED for part in state.random) < _CORRELATED:
-            random += correlated_errors(state, quiet)
-        found += [Move(entering.net, found=entering) for entering in random]
+            found += [Move(entering.net, found=entering) for entering in correlated_errors(state, quiet)]
         found += _noise(state, alone=all(move.net <= 0 for move in found))
         # a little below 0 too: quick gains are at the present sizes, and may rise when these are estimated
         state.held[key] = sorted((move for move in found if move.net > -1), key=lambda move: -move.net), {*quiet}
     entering, silent = state.held[key]
     quiet |= silent
     return list(entering)
+
+
+def causes(state: State) -> list[Move]:
+    """Return the effects, and unknown causes, of the largest net gains, and the best effect at all its places."""
+    if "causes" not in state.held:
+        scattered = [Move(entering.net, found=entering) for entering in scattered_effects(state)[:1]]
+        state.held["causes"] = [*effects(state), *scattered]
+    return [*state.held["causes"]]
 
 
 def _noise(state: State, alone: bool) -> list[Move]:

@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from metrocli.diagnosis.evidence.likelihood import fit_at
-from metrocli.diagnosis.evidence.moves import Move, effects, moves, readings
+from metrocli.diagnosis.evidence.moves import Move, causes, effects, moves, readings
 from metrocli.diagnosis.evidence.parts import CORRELATED, Fixed, Random
 from metrocli.diagnosis.evidence.prices import ALIKE
 from metrocli.diagnosis.evidence.refined import refined
@@ -213,10 +213,12 @@ def _others_in_turn(state: State, but: Fixed | Random) -> float:
 
     What a correlated error of another length or covariate explains instead would change no name.
     """
-    entering = [move for move in moves(state) if move.net > 0 and not move.is_like(but)]
-    if isinstance(but, Random) and but.kind == CORRELATED:
-        entering = entering if any(one.is_cause for one in entering[:_TRIED]) else []
-    return sum(one.net for one in entering[:_TRIED])
+    only_causes = isinstance(but, Random) and but.kind == CORRELATED
+    # they are a part of the moves, and take a part of the time
+    if only_causes and not any(cause.net > 0 for cause in causes(state)):
+        return 0.0
+    entering = [move for move in moves(state) if move.net > 0 and not move.is_like(but)][:_TRIED]
+    return sum(one.net for one in entering) if not only_causes or any(one.is_cause for one in entering) else 0.0
 
 
 def _quick(state: State, number: int) -> float:
