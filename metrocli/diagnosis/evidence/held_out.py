@@ -11,6 +11,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import field, replace
 from functools import cached_property
 from math import lgamma
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -23,12 +24,18 @@ from metrocli.diagnosis.evidence.parts import Fixed
 from metrocli.diagnosis.evidence.prices import gain_of_columns
 from metrocli.diagnosis.evidence.reweighted import Reweighted
 from metrocli.diagnosis.evidence.state import State
+from metrocli.diagnosis.linear.basis import Basis, members_of_equal_size
 from metrocli.diagnosis.linear.projection import VISIBLE
-from metrocli.diagnosis.linear.quadratics import factored, quadratic, solved
+from metrocli.diagnosis.linear.quadratics import quadratic, solved
 from metrocli.frozen import dataclass
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_matrix
 
 _MOST_HELD = 2_000_000
 """Numbers of the products without a fold that are kept"""
+_SHOWN = 1e-9
+"""Share of a row, or of a sum of rows of a member, below which its other rows say all of it"""
 
 
 def fold_numbers(m: Measurement) -> list[int]:
@@ -109,7 +116,7 @@ class Others:
     """The columns of the products that are kept"""
     fit: Fit
     """Of the readings that are not held out"""
-    held: dict[object, tuple[Array, Array]] = field(default_factory=dict, compare=False, repr=False)
+    held: dict[object, Any] = field(default_factory=dict, compare=False, repr=False)
     """Cache of products with candidates"""
 
     @classmethod
@@ -214,17 +221,40 @@ class Others:
             held[key] = columns.grams(state.own), columns.products(every)
         gram, along = held[key]
         if self.fold.whole:
+            if "rows" not in self.held:
+                self.held["rows"] = state.own.at(rows), every[rows]
+            basis, some = self.held["rows"]
             own = columns.of_rows(self.fold.mask)
-            return gram - own.grams(state.own.at(rows)), along - own.products(every[rows])
-        if "unit" not in self.held:
-            unit = np.zeros((len(every), len(rows)))
-            unit[rows, np.arange(len(rows))] = 1.0
-            unit -= state.own.combined(state.own.coordinates(unit))
-            self.held["unit"] = unit, factored(unit[rows])
-        unit, lower = self.held["unit"]
-        shown = columns.products(unit)
-        shown = solved(lower, shown.reshape(-1, len(rows)).T).T.reshape(shown.shape)
-        return gram - shown @ np.swapaxes(shown, 1, 2), along - shown @ solved(lower, every[rows])
+            return gram - own.grams(basis), along - own.products(some)
+        if "directions" not in self.held:
+            directions, turn = _directions(state.own, rows)
+            self.held["directions"] = directions, turn.T @ every[rows]
+        directions, told = self.held["directions"]
+        shown = columns.products(directions)
+        return gram - shown @ np.swapaxes(shown, 1, 2), along - shown @ told
+
+
+def _directions(basis: Basis, rows: Index) -> tuple[Array, csr_matrix]:
+    """Return columns U, (all rows, rows): without some rows `M - U U'` is left of what was `M = I - b b'`, b local.
+
+    `U = M_h R`, with the columns M_h of these rows and `R R' = M_hh^+`, the second returned, member by member: rows of
+    different members have nothing in common. A member all of whose rows are left out has no inverse.
+    """
+    from scipy.sparse import csr_matrix
+
+    member, every = basis.member[rows], np.arange(len(rows))
+    alone = every[member < 0]
+    places, values = [(alone, alone)], [np.ones(len(alone))]
+    for _, at in members_of_equal_size(member, basis.members):
+        local = basis.local[rows[at]]
+        left, vectors = np.linalg.eigh(np.eye(at.shape[1]) - local @ np.swapaxes(local, 1, 2))
+        root = vectors * np.where(left > _SHOWN, left, np.inf)[:, None] ** -0.5 @ np.swapaxes(vectors, 1, 2)
+        places.append((np.repeat(at, at.shape[1], axis=1).ravel(), np.tile(at, at.shape[1]).ravel()))
+        values.append(root.ravel())
+    numbers = tuple(np.concatenate(one) for one in zip(*places, strict=True))
+    turn = csr_matrix((np.concatenate(values), numbers), shape=(len(rows), len(rows)))
+    unit = csr_matrix((np.ones(len(rows)), (rows, every)), shape=(len(basis.local), len(rows)))
+    return ((unit - basis.sparse @ basis.sparse[rows].T) @ turn).toarray(), turn
 
 
 def _log_marginal(fit: Fit, ranks: float) -> float:

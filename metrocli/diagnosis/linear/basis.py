@@ -52,7 +52,7 @@ class Basis:
     """Columns of the other unknowns, orthogonal to the local ones, (rows, k)"""
 
     @cached_property
-    def _sparse(self) -> csr_matrix:
+    def sparse(self) -> csr_matrix:
         """The local columns, (rows, members*q)."""
         from scipy.sparse import csr_matrix
 
@@ -69,7 +69,7 @@ class Basis:
 
     def coordinates(self, values: Array) -> Array:
         """Return `b' values`, (columns, ...), of values (rows, ...)."""
-        flat, sparse, shared = flat_columns(values), self._sparse, self.shared
+        flat, sparse, shared = flat_columns(values), self.sparse, self.shared
         if _has_few(flat):
             there = rows_with_values(flat)
             flat, sparse, shared = flat[there], sparse[there], shared[there]
@@ -79,16 +79,16 @@ class Basis:
     def combined(self, coordinates: Array) -> Array:
         """Return `b coordinates`, (rows, ...)."""
         flat = flat_columns(coordinates)
-        count = self._sparse.shape[1]
-        sums = self._sparse @ flat[:count] + self.shared @ flat[count:]
+        count = self.sparse.shape[1]
+        sums = self.sparse @ flat[:count] + self.shared @ flat[count:]
         return np.asarray(sums.reshape(len(sums), *coordinates.shape[1:]))
 
     def take_from(self, values: Array, coordinates: Array) -> None:
         """Subtract `b coordinates` from values (rows, k) where they are, some rows at a time."""
-        count = self._sparse.shape[1]
+        count = self.sparse.shape[1]
         for start in range(0, len(values), _AT_ONCE):
             rows = slice(start, start + _AT_ONCE)
-            values[rows] -= self._sparse[rows] @ coordinates[:count] + self.shared[rows] @ coordinates[count:]
+            values[rows] -= self.sparse[rows] @ coordinates[:count] + self.shared[rows] @ coordinates[count:]
 
     def squares(self, rows: Index | Mask | slice = slice(None)) -> Array:
         """Return the sum of squares of each row, the share of a reading that the unknowns absorb."""
@@ -138,7 +138,7 @@ class Basis:
         # each stretch is moved back to where the member of its first row begins
         begins = np.searchsorted(self.member[order], self.member[order[::_AT_ONCE]])
         stretches = (np.sort(order[a:b]) for a, b in pairwise([*np.unique(begins), len(order)]))
-        return [(without_gathering(rows), self.at(rows)._sparse) for rows in stretches]
+        return [(without_gathering(rows), self.at(rows).sparse) for rows in stretches]
 
     def growth_of_local_grams(self, rows: Index, values: Array) -> Array:
         """Return U, so that `V'U + U'V` over the last of some rows is `g' b b' g` of a column g that has only these.
@@ -222,7 +222,7 @@ class Basis:
 
     def rows(self, rows: Index) -> Array:
         """Return some rows of all columns, (rows, columns)."""
-        return np.concatenate([self._sparse[rows].toarray(), self.shared[rows]], axis=1)
+        return np.concatenate([self.sparse[rows].toarray(), self.shared[rows]], axis=1)
 
     def holds_whole_members(self, rows: Index) -> bool:
         """Whether some rows contain all rows of each local member that they use."""
