@@ -108,13 +108,10 @@ class Reweighted:
         Directions of which the others say nothing, such as the pose of an image that is held out, are taken off: each
         row has a share of what remains.
         """
-        from scipy.linalg import eigh
-
         absorbed, residual, inside = self._beside(fit, columns)
         variances, shares = 1 + absorbed + np.einsum("pr,pr->r", inside, inside), np.ones(len(residual))
         if (variances > PREDICTED).any():
-            # of the largest eigenvalues alone, which takes half the time
-            _, hidden = eigh(inside.T @ inside, subset_by_value=(PREDICTED, np.inf), check_finite=False)
+            hidden = _directions(inside, PREDICTED)
             residual = residual - hidden @ (hidden.T @ residual)
             shares = np.maximum(1 - np.einsum("rk,rk->r", hidden, hidden), 0.0)
             # before the squares are summed: their difference would be that of large numbers
@@ -138,6 +135,19 @@ class Reweighted:
                 residual[rows] -= errors @ shown[:, -1]
                 absorbed[rows] += (errors**2).sum(axis=1)
         return absorbed, residual - x @ fit.sizes, solved(fit.lower, x.T)
+
+
+def _directions(inside: Array, least: float) -> Array:
+    """Return the orthonormal directions y, (n, k), of coordinates X (p, n) with `y'X'X y` no less than `least`.
+
+    Those of `X X'` are the same, and take less time where there are more rows than columns.
+    """
+    from scipy.linalg import eigh
+
+    p, n = inside.shape
+    gram = inside @ inside.T if p < n else inside.T @ inside
+    values, vectors = eigh(gram, subset_by_value=(least, np.inf), check_finite=False)
+    return np.asarray(inside.T @ (vectors / np.sqrt(values)) if p < n else vectors)
 
 
 def _parts(order: Index, begins: Index) -> Iterator[Index]:
