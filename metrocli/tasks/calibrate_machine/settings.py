@@ -46,7 +46,26 @@ _OPTIONAL = {
 """Further inputs, and the methods that take them"""
 _OF_ANY_CHAIN = ("stations", "network")
 """Those that machines without rotary axes take too"""
-_OF_METHODS = {"instrument": (STANDSTILL, LENGTHS), "sensor": (PROBING,), "corner": (ON_THE_FLY,)}
+_POINT_BY_POINT = (STANDSTILL, LENGTHS, PROBING, SIX_DOF)
+_OF_METHODS = {
+    "instrument": (STANDSTILL, LENGTHS),
+    "sensor": (PROBING,),
+    "corner": (ON_THE_FLY,),
+    "simulation.points": TURNING,
+    "simulation.polar": (STANDSTILL,),
+    "simulation.interval": _POINT_BY_POINT,
+    "simulation.warming": _POINT_BY_POINT,
+    "simulation.sampling": (ON_THE_FLY,),
+    "simulation.feed": (ON_THE_FLY,),
+    "simulation.step": (SIX_DOF,),
+    "simulation.tracker": (STANDSTILL, ON_THE_FLY, LENGTHS, PROBING),
+    "plan.length": (ON_THE_FLY,),
+    "plan.seed": (ON_THE_FLY,),
+    "plan.sampling": (ON_THE_FLY,),
+    "plan.time": (LENGTHS,),
+    "plan.setup": (LENGTHS,),
+    "plan.uncertainty": TURNING,
+}
 """Settings that some methods alone read"""
 _NOISE = {
     STANDSTILL: ("beam",),
@@ -231,7 +250,9 @@ class Settings:
         if getattr(self.positioning, unused):
             yield f"positioning.{unused}", f"the lines read no such quantity: write `{used}`"
         for key, methods in _OF_METHODS.items():
-            if self.method not in methods and getattr(self, key) != getattr(Settings, key):
+            section, _, name = key.rpartition(".")
+            owner = getattr(self, section) if section else self
+            if self.method not in methods and owner and getattr(owner, name) != getattr(type(owner), name):
                 yield key, f"method {self.method} does not use this key (of {' and '.join(methods)}): leave it out"
         for key, what in (("scale", "scales of tracking interferometers"), ("environment", "lengths to correct")):
             if getattr(self, key) is not None and self.method != LENGTHS:
