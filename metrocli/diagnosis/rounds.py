@@ -1,4 +1,4 @@
-"""Rounds: the job is adjusted with the effects that dominate, and the search begins again about that solution.
+"""Rounds: the job is adjusted with the effects that dominate, and the search goes on about that solution.
 
 Method: docs/algorithms/evidence.md.
 """
@@ -13,6 +13,7 @@ from metrocli.diagnosis.evidence.folds import surely
 from metrocli.diagnosis.evidence.identified import all_identified
 from metrocli.diagnosis.evidence.measured_job import measurement_of
 from metrocli.diagnosis.evidence.measurement import Measurement
+from metrocli.diagnosis.evidence.moves import effects
 from metrocli.diagnosis.evidence.parts import Fixed
 from metrocli.diagnosis.evidence.refined import refined
 from metrocli.diagnosis.evidence.search import forward, pruned, swapped
@@ -29,7 +30,7 @@ _MOST_OF_IT = 0.01
 
 
 def is_dominated(state: State) -> bool:
-    """Return whether the unknowns are to be adjusted with effects of a state, and the search to begin again.
+    """Return whether the unknowns are to be adjusted with effects of a state, and the search to go on about them.
 
     Signatures are derivatives, and the higher-order terms of a large effect look like other effects. An effect that is
     columns of the job's own blocks, such as a term of a lens, bends beside the others: only about its own solution
@@ -68,14 +69,38 @@ def _old_and_new(state: State) -> tuple[list[Fixed], list[Fixed]]:
 
 
 def _continued(state: State, m: Measurement) -> State:
-    """Return a state in another linearisation: the search there begins with what it has found in the first one."""
-    before, noise = state.measurement, state.measurement.noise
-    same = [family.form for family in before.families] == [family.form for family in m.families]
-    if not same or (len(before.scatters), len(before.knots)) != (len(m.scatters), len(m.knots)):
+    """Return a state in another linearisation: the search there goes on with what it has found in the first one.
+
+    It begins anew where the candidates are not the same, as after a scan whose best value was refined.
+    """
+    noise, alike = state.measurement.noise, _candidates(state.measurement) == _candidates(m)
+    if not alike:
         return State.of(m)
-    # one at a refined value of its scan is no alternative there, and is found again
-    there = [part for part in state.fixed if part.is_reading or part.number < len(m.families[part.family].alternatives)]
-    return pruned(state.keeping(there).at(with_noise(m, noise) if noise else m).settled())
+    return pruned(_chosen_anew(state.at(with_noise(m, noise) if noise else m).settled()))
+
+
+def _candidates(m: Measurement) -> list[object]:
+    """Return what the numbers of parts, and of variance groups, stand for."""
+    scatters = [[family.form for family in scatter] for scatter in m.scatters]
+    return [
+        [family.form for family in m.families],
+        scatters,
+        [knots.functions.name for knots in m.knots],
+        [unit[:2] for unit in m.units],
+    ]
+
+
+def _chosen_anew(state: State) -> State:
+    """Return a state in which each effect on the job's own blocks is the best that stands in its place there.
+
+    Only about its own solution differs it from those that look alike.
+    """
+    for part in state.named:
+        if state.measurement.alternative(part.key).effect.link is None:
+            less = state.minus([part])
+            others = (move.made(less) for move in effects(less) if move.keys != (part.key,))
+            state = max((state, *others), key=lambda one: one.score)
+    return state
 
 
 def searched(job: AdjustedJob, quick: bool = False) -> tuple[State, State]:
@@ -92,9 +117,10 @@ def searched(job: AdjustedJob, quick: bool = False) -> tuple[State, State]:
             "measure more; `metrocli diagnose --design` shows what a measurement can detect"
         )
     first = state = begin = State.of(m)
+    since, least = first.score, _MOST_OF_IT if quick else 0.0
     for left in reversed(range(_ROUNDS)):
         # in the last round nothing stops the search: what dominates then is named about the solution that there is
-        state = forward(begin, stop=is_overwhelmed if left else None, least=_MOST_OF_IT if quick else 0.0)
+        state = forward(begin, stop=is_overwhelmed if left else None, least=least, since=since)
         # not adjusted with effects whose sizes may be nothing: all else would be linearised about these sizes
         state = state if quick else surely(state)
         if not left or not is_dominated(state):
@@ -104,9 +130,11 @@ def searched(job: AdjustedJob, quick: bool = False) -> tuple[State, State]:
         fit = extended_fit(job, names, kept)
         if fit is None:
             # the job cannot be adjusted with them: then the search goes on beside their first order
-            state = forward(state, least=_MOST_OF_IT if quick else 0.0)
+            state = forward(state, least=least, since=since)
             break
         m = measurement_of(relinearised(job, names, fit), None, m, alone)
         # what the search found before an effect overwhelmed all else was perhaps its higher-order terms
-        begin = State.of(m) if is_overwhelmed(state) else _continued(state, m)
+        begin = State.of(m)
+        since = begin.score
+        begin = begin if is_overwhelmed(state) else _continued(state, m)
     return first, pruned(refined(state if quick else swapped(state)))

@@ -100,7 +100,12 @@ def _law(job: AdjustedJob, law: Law) -> dict[str, Any]:
             for candidate, cosine in law.near
         ],
         "as_likely": [
-            {"acts_on": term.spot.acting.name, "where": dict(term.spot.where), "form": term.form.text}
+            {
+                "acts_on": term.spot.acting.name,
+                "component": term.spot.component,
+                "where": dict(term.spot.where),
+                "form": term.form.text,
+            }
             for term in law.as_likely
         ],
         "chosen": law.chosen,

@@ -11,6 +11,8 @@ from metrocli.diagnosis.laws.definition import written
 from metrocli.diagnosis.laws.library import Term
 from metrocli.diagnosis.laws.search import Law
 
+_LISTED = 4
+"""Terms that are as likely as a law, of which so many are listed"""
 _HEAD = ("", "law", "acts on", "explains", "chance", "held-out error", "log score (± std)")
 
 
@@ -32,8 +34,9 @@ def law_lines(diagnosis: Diagnosis, extended: Law | None) -> Iterator[str]:
     if near:
         yield f"It is nearly {' or '.join(near)}: perhaps that cause with another variable or at another place."
     if law.as_likely:
-        others = [f"{term.form.text} ({_place(term)})" for term in law.as_likely]
-        yield f"These readings hardly distinguish it from {', '.join(others)}."
+        others = [f"{term.form.text} ({_place(term)} {term.spot.component}".rstrip() + ")" for term in law.as_likely]
+        more = f" or {len(others) - _LISTED} others" if len(others) > _LISTED else ""
+        yield f"These readings hardly distinguish it from {'; '.join(others[:_LISTED])}{more}."
     yield f"A law is no cause: what acts like this at this place is to be found.{_where(law, extended)}"
 
 

@@ -138,13 +138,15 @@ class Reweighted:
 
 
 def _directions(inside: Array, least: float) -> Array:
-    """Return the orthonormal directions y, (n, k), of coordinates X (p, n) with `y'X'X y` no less than `least`.
+    """Return the orthonormal directions y, (n, k), of coordinates X (p, n) with `y'X'X y` above `least`.
 
     Those of `X X'` are the same, and take less time where there are more rows than columns.
     """
     from scipy.linalg import eigh
 
     p, n = inside.shape
+    if not p:
+        return np.zeros((n, 0))
     gram = inside @ inside.T if p < n else inside.T @ inside
     values, vectors = eigh(gram, subset_by_value=(least, np.inf), check_finite=False)
     return np.asarray(inside.T @ (vectors / np.sqrt(values)) if p < n else vectors)

@@ -64,13 +64,15 @@ def forward(
     stop: Callable[[State], bool] | None = None,
     without: Fixed | Random | None = None,
     least: float = 0.0,
+    since: float | None = None,
 ) -> State:
     """Return the state after the moves that raise its score, each the best of those tried, until none does.
 
-    `least` is the share of all that was gained by which a move must raise it.
+    `least` is the share of all that was gained by which a move must raise it, counted from a score on, `since`, which
+    is that of the state itself unless it is given.
     """
     quiet: set[int] = set()
-    begin = state.score
+    begin = state.score if since is None else since
     for _ in range(most):
         if state.measurement.job.budget.spent():
             break

@@ -19,7 +19,7 @@ from metrocli.diagnosis.evidence.parts import Fixed
 from metrocli.diagnosis.evidence.prices import ALIKE
 from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.laws.library import Library, Term
-from metrocli.diagnosis.laws.steps import Lawful, among_terms, best_terms, columns_of_terms, forward
+from metrocli.diagnosis.laws.steps import Lawful, among_terms, columns_of_terms, forward
 from metrocli.diagnosis.laws.terms import columns_of
 from metrocli.diagnosis.linear.candidates import Candidate
 from metrocli.diagnosis.linear.quadratics import quadratic
@@ -31,8 +31,6 @@ _SURELY = 5.5
 """Net evidence from which a law of few readings need not be shown by held-out ones"""
 _MOST_ROWS = 25_000
 """Largest number of components of readings for which laws are sought: the columns of all terms are held at once"""
-_MOST_AS_LIKELY = 4
-"""Largest number of other terms that are listed beside a law"""
 _SEEN, _STEPS = 0.5, 400
 """Least change of a reading that is shown beside a law, of that of the most changed; steps of the curve of a law"""
 
@@ -82,7 +80,10 @@ class Law:
     near: tuple[tuple[Candidate, float], ...] = ()
     """Effects of the catalogue that change the readings nearly as it does, each with the cosine, the nearest first"""
     as_likely: tuple[Term, ...] = ()
-    """Single terms of other variables, or at other places, that explain the readings as well as its only one"""
+    """Single terms of other variables, or at other places, that explain the readings as well as its only one.
+
+    The best comes first.
+    """
     chosen: bool = False
 
 
@@ -131,12 +132,21 @@ def with_laws(state: State, plain: State, ordered: Ordered = map) -> LawSearchRe
 
 
 def _as_likely(start: Lawful, chosen: Term) -> tuple[Term, ...]:
-    """Return the terms whose evidence is like that of the first term of a law; one for each place and its variables."""
-    tried = best_terms(start)
-    terms = [start.library.terms[number][at] for net, number, at in tried if net > tried[0][0] - ALIKE]
-    others = {(term.spot.where, term.form.variables): term for term in reversed(terms)}
-    others.pop((chosen.spot.where, chosen.form.variables), None)
-    return tuple(others.values())[::-1][:_MOST_AS_LIKELY]
+    """Return the terms whose evidence is like that of the best single one, the best of each place and its variables."""
+    tried = list[tuple[float, Term]]()
+    for number, terms in enumerate(start.library.terms):
+        gain, price, _ = start.state.gains_of_family(number)
+        tried += zip(np.where(gain > 0, gain - price, -np.inf).tolist(), terms, strict=True)
+    tried.sort(key=lambda one: -one[0])
+    found = {_subject(chosen): chosen}
+    for net, term in tried:
+        if net > tried[0][0] - ALIKE:
+            found.setdefault(_subject(term), term)
+    return tuple(found.values())[1:]
+
+
+def _subject(term: Term) -> tuple[object, ...]:
+    return *term.place, term.spot.component, term.form.variables
 
 
 def _is_named(law: Law, state: State) -> bool:

@@ -36,7 +36,7 @@ class TermForm:
     @property
     def text(self) -> str:
         """Its factors, with the scanned value in them."""
-        return ", ".join(self.factors).replace("{s}", "" if self.scanned is None else f"{self.scanned:.4g}")
+        return " and ".join(self.factors).replace("{s}", "" if self.scanned is None else f"{self.scanned:.4g}")
 
     def powers_of(self) -> dict[str, int]:
         """Return how often each variable is a factor with its unit; none in sines, exponentials and steps."""
@@ -46,7 +46,7 @@ class TermForm:
 
 
 def powers_are_tried(variable: str) -> bool:
-    """Return whether powers of a variable are tried, by its name: neither harmonics nor its sign alone."""
+    """Return whether waves and all powers of a variable are tried, by its name; of an angle only the first power is."""
     return variable not in _ANGLES and not variable.startswith(_SIDE)
 
 

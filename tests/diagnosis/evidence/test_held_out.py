@@ -1,0 +1,56 @@
+"""What held-out rows take with them, against dense matrices, and the search about another solution."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+
+from metrocli.cli.commands import run
+from metrocli.diagnosis.evidence.held_out import _directions
+from metrocli.diagnosis.evidence.reweighted import _directions as hidden_directions
+from metrocli.diagnosis.linear.basis import Basis
+from metrocli.diagnosis.rounds import searched
+from metrocli.project.diagnosed import adjusted_job_of
+from metrocli.project.job import load
+
+
+def test_rows_of_members_are_left_out_as_in_dense_matrices() -> None:
+    """Some rows have no member, and of the last member all rows are left out."""
+    rng = np.random.default_rng(3)
+    member = rng.permutation(np.repeat([-1, 0, 1, 2, 3], [3, 4, 6, 5, 2]))
+    local = rng.normal(size=(len(member), 2))
+    whole = np.zeros((len(member), 8))
+    for number in range(4):
+        rows = np.flatnonzero(member == number)
+        local[rows] = np.linalg.qr(local[rows])[0]
+        whole[rows, 2 * number : 2 * number + 2] = local[rows]
+    basis = Basis(local, member, 4, np.zeros((len(member), 0)))
+    out = np.flatnonzero((member == 3) | (np.arange(len(member)) % 4 == 0))
+    directions, turn = _directions(basis, out)
+    left = np.eye(len(member)) - whole @ whole.T
+    inverse = np.linalg.pinv(left[np.ix_(out, out)], rcond=1e-9, hermitian=True)
+    np.testing.assert_allclose(directions @ directions.T, left[:, out] @ inverse @ left[out], atol=1e-12)
+    np.testing.assert_allclose((turn @ turn.T).toarray(), inverse, atol=1e-12)
+
+
+def test_directions_that_no_other_reading_shows_are_those_of_the_singular_values() -> None:
+    rng = np.random.default_rng(4)
+    for shape in ((5, 9), (9, 5)):
+        inside = rng.normal(size=shape)
+        inside[:2] *= 1e5
+        _, values, vectors = np.linalg.svd(inside, full_matrices=False)
+        own = vectors[values**2 > 100]
+        found = hidden_directions(inside, 100.0)
+        np.testing.assert_allclose(found @ found.T, own.T @ own, atol=1e-9)
+
+
+def test_a_term_of_a_lens_is_chosen_anew_about_another_solution(tmp_path: Path) -> None:
+    """The camera of the sample has k2, p1 and p2. About the first solution a thin prism looks like p1 and p2."""
+    assert run(["init", str(tmp_path / "lab"), "--sample", "board-camera"]) == 0
+    path = tmp_path / "lab/jobs/calibrate.yaml"
+    path.write_text(re.sub(r"estimate: \[[^\]]*\]", "estimate: [f, cx, cy, k1]", path.read_text()))
+    _, state = searched(adjusted_job_of(load(path)), quick=True)
+    named = {state.measurement.alternative(part.key).effect.name for part in state.named}
+    assert named == {"radial-distortion", "decentring-distortion"}
