@@ -229,9 +229,9 @@ class Others:
         if "directions" not in self.held:
             directions, turn = _directions(state.own, rows)
             self.held["directions"] = directions, turn.T @ every[rows]
-        directions, told = self.held["directions"]
+        directions, held_out = self.held["directions"]
         shown = columns.products(directions)
-        return gram - shown @ np.swapaxes(shown, 1, 2), along - shown @ told
+        return gram - shown @ np.swapaxes(shown, 1, 2), along - shown @ held_out
 
 
 def _directions(basis: Basis, rows: Index) -> tuple[Array, csr_matrix]:

@@ -216,7 +216,7 @@ def _others_in_turn(state: State, but: Fixed | Random) -> float:
     What a correlated error of another length or covariate explains instead would change no name.
     """
     only_causes = isinstance(but, Random) and but.kind == CORRELATED
-    # they are a part of the moves, and take a part of the time
+    # causes are a part of the moves, and take a part of the time
     if only_causes and not any(cause.net > 0 for cause in causes(state)):
         return 0.0
     entering = [move for move in moves(state) if move.net > 0 and not move.is_like(but)][:_TRIED]
