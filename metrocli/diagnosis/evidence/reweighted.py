@@ -111,7 +111,7 @@ class Reweighted:
         absorbed, residual, inside = self._beside(fit, columns)
         variances, shares = 1 + absorbed + np.einsum("pr,pr->r", inside, inside), np.ones(len(residual))
         if (variances > PREDICTED).any():
-            hidden = _directions(inside, PREDICTED)
+            hidden = _hidden_directions(inside, PREDICTED)
             residual = residual - hidden @ (hidden.T @ residual)
             shares = np.maximum(1 - np.einsum("rk,rk->r", hidden, hidden), 0.0)
             # before the squares are summed: their difference would be that of large numbers
@@ -137,7 +137,7 @@ class Reweighted:
         return absorbed, residual - x @ fit.sizes, solved(fit.lower, x.T)
 
 
-def _directions(inside: Array, least: float) -> Array:
+def _hidden_directions(inside: Array, least: float) -> Array:
     """Return the orthonormal directions y, (n, k), of coordinates X (p, n) with `y'X'X y` above `least`.
 
     Those of `X X'` are the same, and take less time where there are more rows than columns.

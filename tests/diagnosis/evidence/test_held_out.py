@@ -9,7 +9,7 @@ import numpy as np
 
 from metrocli.cli.commands import run
 from metrocli.diagnosis.evidence.held_out import _directions
-from metrocli.diagnosis.evidence.reweighted import _directions as hidden_directions
+from metrocli.diagnosis.evidence.reweighted import _hidden_directions
 from metrocli.diagnosis.linear.basis import Basis
 from metrocli.diagnosis.rounds import searched
 from metrocli.project.diagnosed import adjusted_job_of
@@ -42,7 +42,7 @@ def test_directions_that_no_other_reading_shows_are_those_of_the_singular_values
         inside[:2] *= 1e5
         _, values, vectors = np.linalg.svd(inside, full_matrices=False)
         own = vectors[values**2 > 100]
-        found = hidden_directions(inside, 100.0)
+        found = _hidden_directions(inside, 100.0)
         np.testing.assert_allclose(found @ found.T, own.T @ own, atol=1e-9)
 
 
