@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -66,6 +67,19 @@ def test_corners_know_their_scatter(pattern: Pattern) -> None:
     rows = [names(pattern).index(name) for name in found.targets]
     assert len(rows) >= 0.9 * len(true)
     assert 0.85 < np.sqrt(np.mean(((found.uv - true[rows]) / found.sigma[:, None]) ** 2)) < 1.2
+
+
+def test_a_board_at_the_edge_of_an_unevenly_lit_image_is_found() -> None:
+    """OpenCV's fast search and the sector-based one that is not exhaustive miss it."""
+    rng, pattern = np.random.default_rng(27), Pattern("chessboard", 7, 4, 25.0)
+    look = Look(noise=2.0, blur=rng.uniform(0.5, 2), ink=rng.uniform(10, 60), paper=rng.uniform(80, 200))
+    image, true = seen(pattern, rng, replace(look, background=rng.uniform(0, 250)), distance=150)
+    v, u = np.indices(image.shape)
+    light = np.exp(rng.normal(0, 0.6) * (u / 640 - 0.5) + rng.normal(0, 0.6) * (v / 480 - 0.5))
+    found = find(pattern, (image * light).clip(0, 255).astype(np.uint8))
+    rows = [names(pattern).index(name) for name in found.targets]
+    assert len(rows) == len(true), found.reason
+    assert np.abs(found.uv - true[rows]).max() < 1
 
 
 @pytest.mark.parametrize(
