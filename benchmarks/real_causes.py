@@ -7,10 +7,10 @@ false if it predicts held-out images, or parts of a drive, worse. What a set had
 intervals are judged by two halves of its images, each diagnosed alone: their sizes of the planted effect have to agree
 within the uncertainties of both. Of a survey and of a network of images, published results are the judge. What a survey
 has of an effect is what its own job finds with the effect in its model; into the network it is planted beside what is
-published of it. The data are not part of the project; where ../shared/data is absent the benchmark
-reports it and ends.
+published of it. The data are not part of the project: most stand in ../shared/data, the images of four cameras come
+from the package index. Sets that are absent are named and left out.
 
-    python -m benchmarks real_causes [SET ...]
+    python -m benchmarks real_causes [SET ...]    # left right ... plaza1 ... cam01 cam02 cam03 cam04
 """
 
 from __future__ import annotations
@@ -25,10 +25,11 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks import one_board
 from benchmarks.bars import Rate
 from benchmarks.real import boards, network, ranges, survey
 from benchmarks.real.boards import COLUMNS, OF_TARGET, Board, Model
-from benchmarks.real.sets import BOARDS, DATA, DRIVES, LENS, BoardSet, ranges_job
+from benchmarks.real.sets import BOARDS, DATA, DRIVES, FETCHED, LENS, BoardSet, ranges_job
 from metrocli.diagnosis.verdict import as_data
 from metrocli.project.diagnosed import carry_out, write_extended
 from metrocli.project.job import JobOptions, load
@@ -348,15 +349,21 @@ def rates(cases: Sequence[Case]) -> Iterator[Rate]:
 
 def main(arguments: list[str]) -> int:
     """Print each case and the rates; return 1 where a bar is not met."""
-    if not DATA.is_dir():
-        print(f"no measured data at {DATA}")
-        return 0
     cases: list[Case] = []
     with tempfile.TemporaryDirectory() as name:
-        made = [(one.name, of_board(one, Path(name) / one.name)) for one in BOARDS]
-        made += [(drive, of_drive(drive, Path(name) / drive)) for drive in DRIVES]
-        made += [(title, cases_of(title, Path(name) / title)) for title, cases_of in OTHERS.items()]
-        for title, found in made:
+        made: dict[str, Iterator[Case]] = {}
+        if DATA.is_dir():
+            made |= {one.name: of_board(one, Path(name) / one.name) for one in BOARDS}
+            made |= {drive: of_drive(drive, Path(name) / drive) for drive in DRIVES}
+            made |= {title: cases_of(title, Path(name) / title) for title, cases_of in OTHERS.items()}
+        else:
+            print(f"no measured data at {DATA}")
+        try:
+            one_board.fetch()
+            made |= {one.name: of_board(one, Path(name) / one.name) for one in FETCHED}
+        except OSError as error:
+            print(f"the images of {', '.join(one_board.CAMERAS)} cannot be fetched ({error})")
+        for title, found in made.items():
             if not arguments or title in arguments:
                 (Path(name) / title).mkdir(parents=True, exist_ok=True)
                 for one in found:

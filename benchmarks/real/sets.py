@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks import one_board
 from benchmarks.real.boards import Board
 from metrocli.formats import images
 from metrocli.targets.find import find
@@ -46,23 +47,25 @@ class BoardSet:
     """Declared noise of a corner [px]"""
     pattern: Pattern | None = None
     """Where the corners are found here"""
+    size: tuple[int, int] = (640, 480)
+    folder: Path = DATA
 
     def read(self, folder: Path) -> Board:
         """Return its corners, found in the images if nobody has."""
         if self.pattern is None:
-            return Board.read(DATA / self.stem, (640, 480))
+            return Board.read(self.folder / self.stem, self.size)
         names, points = pattern_points(self.pattern)
         stem = folder / self.name
         with Path(f"{stem}.observations.csv").open("w", newline="", encoding="utf-8") as file:
             writer = csv.writer(file)
             writer.writerow(("image", "target", "u_px", "v_px"))
-            for path in sorted(DATA.glob(self.stem)):
+            for path in sorted(self.folder.glob(self.stem)):
                 found = find(self.pattern, images.read(path))
                 writer.writerows((path.name, t, *uv) for t, uv in zip(found.targets, found.uv.tolist(), strict=True))
         with Path(f"{stem}.targets.csv").open("w", newline="", encoding="utf-8") as file:
             rows = [(name, *place) for name, place in zip(names, np.asarray(points).tolist(), strict=True)]
             csv.writer(file).writerows([("target", "x_mm", "y_mm", "z_mm"), *rows])
-        return Board.read(stem, (640, 480))
+        return Board.read(stem, self.size)
 
     def job(self, folder: Path, board: Board, estimate: tuple[str, ...]) -> Path:
         """Write the job of a board with its corners; return its path."""
@@ -82,6 +85,11 @@ BOARDS = (
     BoardSet("sony-chess", "sony-chess/points", 0.1),
     BoardSet("sony-circles", "sony-circles/image0000[02345].jpg", 0.1, Pattern("circles", 8, 10, 25.0, diameter=15.0)),
 )
+FETCHED = tuple(
+    BoardSet(camera, f"{camera}_*.jpg", 0.05, Pattern("chessboard", 7, 4, 60.0), (1088, 1920), one_board.HERE)
+    for camera in one_board.CAMERAS
+)
+"""Four cameras that see one board, from the package index: no number of the program was set on them"""
 DRIVES = ("plaza1", "plaza2")
 
 
