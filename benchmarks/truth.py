@@ -5,7 +5,7 @@
 
 Each campaign is a benchmark of its own, with a truth of its own: simulations by plain formulas that share nothing with
 the solver, effects planted into real measurements, halves of real sets, one board seen by four cameras, published
-values. Its rows enter the second table of docs/benchmarks.md as soon as it ends. Data of ../shared that are absent
+values. Its table enters docs/benchmarks.md as soon as it ends. Data of ../shared that are absent
 leave their rows out.
 """
 
@@ -30,7 +30,15 @@ PUBLISHED = {
     "files of people, with what is right": "tests/people",
 }
 """Published values, and the tests that compare with them"""
-HEAD = ["| campaign | cases | result [95 %] | bar | | measured |", "|---|---|---|---|---|---|"]
+PUBLISHED_VALUES = "published values"
+"""Title of their campaign"""
+HEAD = ["| | cases | result [95 %] | bar | |", "|---|---|---|---|---|"]
+ABOUT = (
+    "Each table is of one campaign of `make bench-truth`, measured on the day in its heading. A share is `too few` "
+    "where it is beyond its bar and its interval reaches it."
+)
+SECTION = re.compile(r"^### (.+) \((\d{4}-\d\d-\d\d)\)$", re.MULTILINE)
+"""Heading of a campaign: its title, and the day on which it was measured"""
 
 
 def campaigns(count: int) -> dict[str, list[str]]:
@@ -84,40 +92,36 @@ def published() -> Iterator[str]:
             yield " | ".join(re.split(r"\s{2,}", str(Rate(what, counts.get("passed", 0), sum(counts.values()), 1.0))))
 
 
-def written(title: str, lines: list[str]) -> None:
-    """Put the rows of a campaign in place of those that the page has of it, or at the end."""
-    head, _, table = PAGE.read_text(encoding="utf-8").partition(TRUTH)
-    old = [line for line in table.splitlines() if line.startswith("| ") and line not in HEAD]
-    mine = f"| {title}: "
-    at = next((n for n, line in enumerate(old) if line.startswith(mine)), len(old))
-    kept = [line for line in old if not line.startswith(mine)]
-    about = (
-        "Rows are of `make bench-truth`, or of one of its campaigns, on the day that stands last. A share is `too few` "
-        "where it is beyond its bar and its interval reaches it."
-    )
-    PAGE.write_text("\n".join([head + TRUTH, "", about, "", *HEAD, *kept[:at], *lines, *kept[at:], ""]))
+def written(title: str, lines: list[str], day: str) -> None:
+    """Put the table of a campaign in place of the one that the page has of it, or at the end."""
+    head, _, rest = PAGE.read_text(encoding="utf-8").partition(TRUTH)
+    _, *parts = SECTION.split(rest)
+    sections = {old: (then, body.strip()) for old, then, body in zip(*[iter(parts)] * 3, strict=True)}
+    sections[title] = day, "\n".join([*HEAD, *lines])
+    order = [*campaigns(0), PUBLISHED_VALUES]
+    tables = ["### {} ({})\n\n{}\n".format(one, *sections[one]) for one in order if one in sections]
+    PAGE.write_text("\n".join([head + TRUTH, "", ABOUT, "", *tables]), encoding="utf-8")
 
 
 def main(arguments: list[str]) -> int:
     """Print the table and write it into the page; return 1 where a bar is not met, 2 for an unknown campaign."""
     numbers = [word for word in arguments if word.isdecimal()]
     asked = [word for word in arguments if not word.isdecimal()] or ["*"]
-    calls = {**campaigns(int(numbers[0]) if numbers else 120), "published values": []}
+    calls = {**campaigns(int(numbers[0]) if numbers else 120), PUBLISHED_VALUES: []}
     chosen = [title for title in calls if any(fnmatch.fnmatch(title, word) for word in asked)]
     if not chosen:
         print(f"no campaign {' or '.join(asked)}; there are: {'; '.join(calls)}")
         return 2
-    print("\n".join(HEAD), flush=True)
     met = True
     for title in chosen:
         begin = time.monotonic()
         day = f"{datetime.now(UTC):%Y-%m-%d}"
         found = rows(title, calls[title]) if calls[title] else published()
-        lines = [f"| {title}: {row} | {day} |" for row in found]
-        written(title, lines)
-        print("\n".join(lines), flush=True)
+        lines = [f"| {row} |" for row in found]
+        written(title, lines, day)
+        print("\n".join([f"### {title}", "", *HEAD, *lines, ""]), flush=True)
         print(f"{title}: {time.monotonic() - begin:.0f} s", file=sys.stderr, flush=True)
-        met &= not any("NOT MET" in line or ": failed" in line for line in lines)
+        met &= not any("NOT MET" in line or "| failed" in line for line in lines)
     return int(not met)
 
 
