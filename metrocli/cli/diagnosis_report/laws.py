@@ -10,6 +10,7 @@ from metrocli.diagnosis.findings import Diagnosis
 from metrocli.diagnosis.laws.definition import written
 from metrocli.diagnosis.laws.library import Term
 from metrocli.diagnosis.laws.search import Law
+from metrocli.diagnosis.laws.terms import goes_round
 
 _LISTED = 4
 """Terms that are as likely as a law, of which so many are listed"""
@@ -30,6 +31,9 @@ def law_lines(diagnosis: Diagnosis, extended: Law | None) -> Iterator[str]:
     sizes = [f"{name} = {units.with_std(value, std)} {unit}" for name, (value, std, unit) in texts.parameters.items()]
     sizes += [f"{name} = {value:.4g} {unit}" for name, (value, unit) in texts.scan.items()]
     yield f"  sizes {units.SPREAD}: {', '.join(sizes)}".replace(" 1,", ",").removesuffix(" 1")
+    angles = sorted({name for term in law.terms for name in term.form.powers_of() if goes_round(name)})
+    if angles:
+        yield f"It jumps where the {' or the '.join(angles)} begins again after a full turn."
     near = [f"{candidate} (correlation {cosine:.2f})" for candidate, cosine in law.near]
     if near:
         yield f"It is nearly {' or '.join(near)}: perhaps that cause with another variable or at another place."

@@ -45,9 +45,14 @@ class TermForm:
         return {}
 
 
+def goes_round(variable: str) -> bool:
+    """Return whether a variable is an angle that begins again after a turn, by its name."""
+    return variable in _ANGLES
+
+
 def powers_are_tried(variable: str) -> bool:
     """Return whether waves and all powers of a variable are tried, by its name; of an angle only the first power is."""
-    return variable not in _ANGLES and not variable.startswith(_SIDE)
+    return not goes_round(variable) and not variable.startswith(_SIDE)
 
 
 def _order(factor: str) -> int:
@@ -85,7 +90,7 @@ def forms_of(values: Mapping[str, Array], elapsed: Mapping[str, Array], periods:
     yield TermForm("constant", ("1",), ())
     smooth = [name for name in values if powers_are_tried(name)]
     for name in values:
-        if name in _ANGLES:
+        if goes_round(name):
             for order in range(1, _HARMONICS + 1):
                 turn = f"{order}*{name}" if order > 1 else name
                 yield TermForm("harmonics", (f"sin({turn})", f"cos({turn})"), (name,))

@@ -255,7 +255,8 @@ class Settings:
             owner = getattr(self, section) if section else self
             if self.method not in methods and owner and getattr(owner, name) != getattr(type(owner), name):
                 yield key, f"method {self.method} does not use this key (of {' and '.join(methods)}): leave it out"
-        if self.simulation is not None and self.simulation.polar and self.method == STANDSTILL and not self.machine.turns:
+        polar = self.simulation is not None and self.simulation.polar
+        if polar and self.method == STANDSTILL and not self.machine.turns:
             yield "simulation.polar", "without rotary axes points.csv has x, y, z of the tracker: leave this key out"
         for key, what in (("scale", "scales of tracking interferometers"), ("environment", "lengths to correct")):
             if getattr(self, key) is not None and self.method != LENGTHS:

@@ -18,6 +18,7 @@ from simulated.network import network
 from benchmarks.hidden import launch
 from benchmarks.hidden import lengths as simulated
 from metrocli.cli.diagnosis_report.findings import of_diagnosis
+from metrocli.cli.diagnosis_report.laws import law_lines
 from metrocli.diagnosis.adjusted_job import Ordered
 from metrocli.diagnosis.diagnose import Attended, diagnose, no_interrupt
 from metrocli.diagnosis.evidence.measured_job import measurement_of
@@ -215,6 +216,15 @@ def test_the_data_of_a_law_have_the_keys_of_the_contract(found: Diagnosis) -> No
     assert law["near"] == []
     assert all(set(other) == {"acts_on", "component", "where", "form"} for other in law["as_likely"])
     assert law["chosen"] and law["acts_on"] == "length" and law["parameters"]["a1"]["unit"] == "mm"
+
+
+def test_a_law_of_an_angle_states_where_it_jumps(found: Diagnosis) -> None:
+    assert found.law is not None
+    assert not any("jumps" in line for line in law_lines(found, None))
+    form, (term,) = TermForm("powers", ("azimuth",), ("azimuth",)), found.law.terms
+    law = replace(found.law, terms=(replace(term, form=form),), sizes=(np.ones(1),), stds=(np.ones(1),))
+    lines = list(law_lines(replace(found, laws=(law,)), None))
+    assert "It jumps where the azimuth begins again after a full turn." in lines
 
 
 def test_a_law_stands_beside_its_readings(found: Diagnosis) -> None:

@@ -287,7 +287,11 @@ def test_what_cannot_be_told_apart_is_refused(folder: Path, metrocli: Metrocli) 
         ("method: standstill", "method: standstill\nplan: {length: 5 m}", "does not use this key (of on-the-fly)"),
         ("method: standstill", "method: standstill\nsimulation: {step: 5 mm}", "does not use this key (of six-dof)"),
         ("method: standstill", "method: standstill\nsimulation: {polar: true}", "without rotary axes points.csv has"),
-        ("method: standstill", "method: lengths\nplan: {tracker: [1 m, 1 m, 1 m]}", "key (of standstill and on-the-fly)"),
+        (
+            "method: standstill",
+            "method: lengths\nplan: {tracker: [1 m, 1 m, 1 m]}",
+            "key (of standstill and on-the-fly)",
+        ),
         ("method: standstill", "method: standstill\nestimate: [EXX, EXQ]", "unknown word 'EXQ'"),
         ("method: standstill", "method: standstill\nestimate: []", "the list is empty"),
         ("tools: {T1", "tool: [0 mm, 0 mm, 0 mm]\n  tools: {T1", "both tool and tools are given"),
