@@ -81,7 +81,7 @@ def diagnose(
             state, laws = result.state, result.laws
     progress.doing("cross-validating: predicting parts of the readings from the others", job.budget.left())
     state, names, gained, unconfirmed = _confirmed(state, ordered, quick)
-    kept = readings_kept(state)
+    kept = readings_kept(state.measurement, state.readings)
     # the job of the first round: in that of the last one, effects on its own blocks stand at a fixed size
     fit = extended_fit(first.measurement.job, names, kept) if names else None
     # to first order in a quick diagnosis: each takes an adjustment

@@ -47,7 +47,7 @@ def _random_effect(state: State, number: int) -> RandomEffect:
     effect, less = families[0].alternatives[0].effect, state.minus([part])
     # `logs` are ratios to the variance of the noise, whose estimate is squares / dof
     std = float(np.sqrt(np.exp(state.logs[number]) * state.fit.squares / state.fit.dof)) * part.unit
-    wider = with_random_effect(m.job, effect, std, readings_kept(state))
+    wider = with_random_effect(m.job, effect, std, readings_kept(m, state.readings))
     return RandomEffect(
         effect,
         std,

@@ -5,7 +5,7 @@ Method: docs/algorithms/evidence.md (dominant effects).
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -14,7 +14,8 @@ from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.observations import Mask
 from metrocli.diagnosis.adjusted_job import AdjustedJob, Standing
 from metrocli.diagnosis.evidence.identified import IdentifiedEffect
-from metrocli.diagnosis.evidence.state import State
+from metrocli.diagnosis.evidence.measurement import Measurement
+from metrocli.diagnosis.evidence.parts import Fixed
 from metrocli.effects.effect import Effect, Parameter
 from metrocli.effects.extension import with_effect, with_effect_everywhere
 from metrocli.effects.model import Added, Model
@@ -174,14 +175,13 @@ def _value(block: Block, row: int, key: str) -> float:
     return float(block.values[row, block.column(key)]) if key in block.columns else 0.0
 
 
-def readings_kept(state: State) -> dict[str, Mask]:
-    """Return for each group a mask of the readings that are not wrong in any component."""
-    m, kept = state.measurement, dict[str, Mask]()
-    wrong = np.zeros(m.system.rows, dtype=bool)
-    for part in state.readings:
-        wrong[m.places[part.number][m.places[part.number] >= 0]] = True
+def readings_kept(m: Measurement, wrong: Iterable[Fixed]) -> dict[str, Mask]:
+    """Return for each group a mask of the readings of which no component is among the wrong ones."""
+    kept, out = dict[str, Mask](), np.zeros(m.system.rows, dtype=bool)
+    for part in wrong:
+        out[m.places[part.number][m.places[part.number] >= 0]] = True
     for group in m.job.model.readings:
         d, n = group.observations.readings.shape
         start = m.system.first[group.name]
-        kept[group.name] = np.asarray(~wrong[start : start + n * d].reshape(n, d).any(axis=1))
+        kept[group.name] = np.asarray(~out[start : start + n * d].reshape(n, d).any(axis=1))
     return kept

@@ -5,7 +5,7 @@ Method: docs/algorithms/evidence.md.
 
 from __future__ import annotations
 
-import numpy as np
+from collections.abc import Mapping
 
 from metrocli.adjust.clusters.robust import STRUCTURED
 from metrocli.diagnosis.adjusted_job import AdjustedJob
@@ -19,7 +19,7 @@ from metrocli.diagnosis.evidence.refined import refined
 from metrocli.diagnosis.evidence.search import forward, pruned, swapped
 from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.evidence.weights import with_noise
-from metrocli.diagnosis.extended_fit import extended_fit, relinearised
+from metrocli.diagnosis.extended_fit import extended_fit, readings_kept, relinearised
 from metrocli.errors import UndeterminedError
 
 _ROUNDS = 4
@@ -44,6 +44,19 @@ def is_dominated(state: State) -> bool:
     if any(m.alternative(part.key).effect.link is None for part in new):
         return True
     return State.of(m, old).variance > _DOMINANT * State.of(m, state.named).variance
+
+
+def are_gross(state: State, left_out: Mapping[tuple[int, ...], Fixed]) -> bool:
+    """Return whether wrong readings explain most of the misfit, beside those without which the job is adjusted.
+
+    A gross one moves the unknowns so far that about their solution derivatives do not hold, and what they miss looks
+    like effects. An adjustment without it does not know it.
+    """
+    new = [part for part in state.readings if part.key not in left_out]
+    if not new:
+        return False
+    old = [*_old_and_new(state)[0], *left_out.values()]
+    return State.of(state.measurement, old).variance > _DOMINANT * State.of(state.measurement, [*old, *new]).variance
 
 
 def is_overwhelmed(state: State) -> bool:
@@ -118,16 +131,23 @@ def searched(job: AdjustedJob, quick: bool = False) -> tuple[State, State]:
         )
     first = state = begin = State.of(m)
     since, least = first.score, _MOST_OF_IT if quick else 0.0
+    left_out: dict[tuple[int, ...], Fixed] = {}
     for left in reversed(range(_ROUNDS)):
+
+        def ends_it(found: State) -> bool:
+            return is_overwhelmed(found) or are_gross(found, left_out)
+
         # in the last round nothing stops the search: what dominates then is named about the solution that there is
-        state = forward(begin, stop=is_overwhelmed if left else None, least=least, since=since)
+        state = forward(begin, stop=ends_it if left else None, least=least, since=since)
         # not adjusted with effects whose sizes may be nothing: all else would be linearised about these sizes
         state = state if quick else surely(state)
-        if not left or not is_dominated(state):
+        gross = are_gross(state, left_out)
+        if not left or not (gross or is_dominated(state)):
             break
-        names = all_identified(state, with_rivals=False)
-        kept = {group.name: np.ones(group.observations.count, dtype=bool) for group in job.model.readings}
-        fit = extended_fit(job, names, kept)
+        # effects that are found beside a gross reading are perhaps its higher-order terms
+        names = [] if gross else all_identified(state, with_rivals=False)
+        left_out |= {part.key: part for part in state.readings} if gross else {}
+        fit = extended_fit(job, names, readings_kept(m, left_out.values()))
         if fit is None:
             # the job cannot be adjusted with them: then the search goes on beside their first order
             state = forward(state, least=least, since=since)
@@ -136,5 +156,5 @@ def searched(job: AdjustedJob, quick: bool = False) -> tuple[State, State]:
         # what the search found before an effect overwhelmed all else was perhaps its higher-order terms
         begin = State.of(m)
         since = begin.score
-        begin = begin if is_overwhelmed(state) else _continued(state, m)
+        begin = begin if gross or is_overwhelmed(state) else _continued(state, m)
     return first, pruned(refined(state if quick else swapped(state)))

@@ -25,6 +25,8 @@ _GAIN = 50.0
 """Decrease of chi-square by turning images back from which they are named, in units of the residuals' variance"""
 _FITS, _MUCH = 4.0, 2.0
 """Variance, in that declared, above which something else is wrong, and how much smaller chi-square has to be then"""
+_BETWEEN, _WITHIN = 3.0, 0.15
+"""Squares of the two means in those of noise, for each image, and what may be left about them beyond noise"""
 _AXES = ("cx", "cy")
 
 
@@ -108,7 +110,21 @@ def _on_the_other_side(problem: CameraProblem, adjusted: AdjustedImages, at: lis
     if total <= 0:
         return np.zeros(count, dtype=bool)
     mean = abs(float((information * position)[few].sum() / total))
-    return few if mean * np.sqrt(total) > _CERTAIN else np.zeros(count, dtype=bool)
+    apart = mean * np.sqrt(total) > _CERTAIN and _are_two(position, information)
+    return few if apart else np.zeros(count, dtype=bool)
+
+
+def _are_two(position: Array, information: Array) -> bool:
+    """Return whether positions stand at two places, as far on one side of 0 as on the other.
+
+    Any that scatter about 0 have a mean on either side: 0.64 of the squares of normal ones are those of the two means.
+    A smooth shape of the lens, or a bent board, makes them scatter far beyond their uncertainty.
+    """
+    seen = information > 0
+    count, far = int(seen.sum()), np.abs(position)
+    middle = float(information @ far / information.sum())
+    between, within = float(information.sum()) * middle**2, float(information @ (far - middle) ** 2)
+    return between > _BETWEEN * count and within - count < _WITHIN * between
 
 
 def _spread(offset: Array, weight: Array) -> Array:
