@@ -132,11 +132,11 @@ def searched(job: AdjustedJob, quick: bool = False) -> tuple[State, State]:
     first = state = begin = State.of(m)
     since, least = first.score, _MOST_OF_IT if quick else 0.0
     left_out: dict[tuple[int, ...], Fixed] = {}
+
+    def ends_it(found: State) -> bool:
+        return is_overwhelmed(found) or are_gross(found, left_out)
+
     for left in reversed(range(_ROUNDS)):
-
-        def ends_it(found: State) -> bool:
-            return is_overwhelmed(found) or are_gross(found, left_out)
-
         # in the last round nothing stops the search: what dominates then is named about the solution that there is
         state = forward(begin, stop=ends_it if left else None, least=least, since=since)
         # not adjusted with effects whose sizes may be nothing: all else would be linearised about these sizes
@@ -146,7 +146,7 @@ def searched(job: AdjustedJob, quick: bool = False) -> tuple[State, State]:
             break
         # effects that are found beside a gross reading are perhaps its higher-order terms
         names = [] if gross else all_identified(state, with_rivals=False)
-        left_out |= {part.key: part for part in state.readings} if gross else {}
+        left_out.update((part.key, part) for part in state.readings if gross)
         fit = extended_fit(job, names, readings_kept(m, left_out.values()))
         if fit is None:
             # the job cannot be adjusted with them: then the search goes on beside their first order

@@ -114,10 +114,15 @@ def _linear(model: Expression, inputs: Inputs) -> LinearPropagation:
     slopes[used] = gradient
     # derivatives that cancel, as of x - x, leave rounding that would stand in a budget as a contributor
     if (np.abs(slopes) * np.sqrt(np.diag(covariance)) <= _ROUNDING * abs(float(jet.value))).all():
-        slopes, variance, more, turned = np.zeros(len(names)), 0.0, 0.0, np.zeros_like(turned)
+        slopes, variance = np.zeros(len(names)), 0.0
+        # at a maximum the slopes are zero too, but there the second order is what the inputs change
+        if max(math.sqrt(abs(more)), abs(float(np.trace(turned)))) <= _ROUNDING * abs(float(jet.value)):
+            more, turned = 0.0, np.zeros_like(turned)
     dof, notes = effective_dof(inputs, slopes)
     if used and variance == 0 and more == 0 and covariance[used, used].any():
         notes = (*notes, "depends on no input: what the inputs change cancels, up to rounding")
+    if variance == 0 and more > 0:
+        notes = (*notes, "no first-order sensitivity: U = 0 lacks what the second order changes, Monte Carlo has it")
     # if the second-order terms make the variance negative, the expansion is not valid
     second = math.sqrt(variance + more) if 0 <= variance + more < math.inf else math.nan
     return LinearPropagation(

@@ -93,6 +93,12 @@ class AxesSettings:
         return {letter: axis for letter, axis in named.items() if axis is not None}
 
     @property
+    def largest_radius(self) -> float:
+        """Largest radius of a circle that two linear axes reach [mm]; 0 with one."""
+        spans = sorted(axis.range[1] - axis.range[0] for axis in self.given.values())
+        return spans[-2] / 2 if len(spans) > 1 else 0.0
+
+    @property
     def turning(self) -> dict[str, RotarySettings]:
         """The rotary axes by letter, A to C."""
         named = {"A": self.a, "B": self.b, "C": self.c}

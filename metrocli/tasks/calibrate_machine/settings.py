@@ -255,9 +255,12 @@ class Settings:
             owner = getattr(self, section) if section else self
             if self.method not in methods and owner and getattr(owner, name) != getattr(type(owner), name):
                 yield key, f"method {self.method} does not use this key (of {' and '.join(methods)}): leave it out"
-        polar = self.simulation is not None and self.simulation.polar
-        if polar and self.method == STANDSTILL and not self.machine.turns:
+        if not self.machine.turns and self.method == STANDSTILL and self.simulation and self.simulation.polar:
             yield "simulation.polar", "without rotary axes points.csv has x, y, z of the tracker: leave this key out"
+        if not self.machine.turns and self.method in (STANDSTILL, LENGTHS) and self.instrument != InstrumentStand():
+            yield "instrument.on", "without rotary axes readings are in the axes of the workpiece: leave this key out"
+        if self.volume.circle is not None and self.volume.circle > (most := self.machine.axes.largest_radius):
+            yield "volume.circle", f"no plane has room for this radius: at most {most:g} mm"
         for key, what in (("scale", "scales of tracking interferometers"), ("environment", "lengths to correct")):
             if getattr(self, key) is not None and self.method != LENGTHS:
                 yield key, f"method {self.method} has no {what}: leave this key out"
