@@ -5,7 +5,7 @@ Method: docs/algorithms/evidence.md.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from metrocli.adjust.clusters.robust import STRUCTURED
 from metrocli.diagnosis.adjusted_job import AdjustedJob
@@ -19,12 +19,15 @@ from metrocli.diagnosis.evidence.refined import refined
 from metrocli.diagnosis.evidence.search import forward, pruned, swapped
 from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.evidence.weights import with_noise
-from metrocli.diagnosis.extended_fit import extended_fit, readings_kept, relinearised
+from metrocli.diagnosis.extended_fit import extended_fit, readings_kept, relinearised, with_group_noise
 from metrocli.errors import UndeterminedError
+from metrocli.frozen import dataclass
 
 _ROUNDS = 4
 _DOMINANT, _MANY = 4.0, 50
 """Effects are dominant if they lower the mean square by this factor, with at least so many degrees of freedom"""
+_GROSS = 10.0
+"""Ratio of noise from which a variance group has another fault than noise"""
 _MOST_OF_IT = 0.01
 """Share of all that was gained by which a move must raise the score in a quick search"""
 
@@ -46,17 +49,33 @@ def is_dominated(state: State) -> bool:
     return State.of(m, old).variance > _DOMINANT * State.of(m, state.named).variance
 
 
-def are_gross(state: State, left_out: Mapping[tuple[int, ...], Fixed]) -> bool:
-    """Return whether wrong readings explain most of the misfit, beside those without which the job is adjusted.
+@dataclass(frozen=True)
+class Gross:
+    """What does not take part where the job is adjusted to linearise it.
 
-    A gross one moves the unknowns so far that about their solution derivatives do not hold, and what they miss looks
-    like effects. An adjustment without it does not know it.
+    A gross reading moves the unknowns so far that about their solution derivatives do not hold, and what they miss
+    looks like effects. An adjustment without it does not know it.
     """
-    new = [part for part in state.readings if part.key not in left_out]
-    if not new:
-        return False
-    old = [*_old_and_new(state)[0], *left_out.values()]
-    return State.of(state.measurement, old).variance > _DOMINANT * State.of(state.measurement, [*old, *new]).variance
+
+    readings: Mapping[tuple[int, ...], Fixed]
+    """Wrong readings by key"""
+    noise: Mapping[int, float]
+    """Ratios of the noise of variance groups, such as an image whose targets have wrong names"""
+
+    def beside(self, state: State) -> Gross | None:
+        """Return it with what is gross in a state; None where nothing is that was not known."""
+        new: dict[tuple[int, ...], Fixed] = {part.key: part for part in state.readings if part.key not in self.readings}
+        old = [*_old_and_new(state)[0], *self.readings.values()]
+        if new and _mean_square(state, old) <= _DOMINANT * _mean_square(state, [*old, *new.values()]):
+            new = {}
+        noisy = {number: ratio for number, ratio in state.measurement.noise.items() if ratio > _GROSS}
+        if not new and noisy.keys() <= self.noise.keys():
+            return None
+        return Gross({**self.readings, **new}, {**self.noise, **noisy})
+
+
+def _mean_square(state: State, fixed: Sequence[Fixed]) -> float:
+    return State.of(state.measurement, fixed).variance
 
 
 def is_overwhelmed(state: State) -> bool:
@@ -131,23 +150,23 @@ def searched(job: AdjustedJob, quick: bool = False) -> tuple[State, State]:
         )
     first = state = begin = State.of(m)
     since, least = first.score, _MOST_OF_IT if quick else 0.0
-    left_out: dict[tuple[int, ...], Fixed] = {}
+    known = Gross({}, {})
 
     def ends_it(found: State) -> bool:
-        return is_overwhelmed(found) or are_gross(found, left_out)
+        return is_overwhelmed(found) or known.beside(found) is not None
 
     for left in reversed(range(_ROUNDS)):
         # in the last round nothing stops the search: what dominates then is named about the solution that there is
         state = forward(begin, stop=ends_it if left else None, least=least, since=since)
         # not adjusted with effects whose sizes may be nothing: all else would be linearised about these sizes
         state = state if quick else surely(state)
-        gross = are_gross(state, left_out)
-        if not left or not (gross or is_dominated(state)):
+        gross = known.beside(state)
+        if not left or (gross is None and not is_dominated(state)):
             break
         # effects that are found beside a gross reading are perhaps its higher-order terms
         names = [] if gross else all_identified(state, with_rivals=False)
-        left_out.update((part.key, part) for part in state.readings if gross)
-        fit = extended_fit(job, names, readings_kept(m, left_out.values()))
+        known = gross or known
+        fit = extended_fit(with_group_noise(m, known.noise), names, readings_kept(m, known.readings.values()))
         if fit is None:
             # the job cannot be adjusted with them: then the search goes on beside their first order
             state = forward(state, least=least, since=since)

@@ -45,6 +45,37 @@ def test_a_wrong_angle_is_no_bad_pose() -> None:
 
 
 @pytest.mark.alike
+@pytest.mark.parametrize("wrong_by", [100.0, 10.0])
+def test_a_gross_length_gives_no_effects(wrong_by: float) -> None:
+    """It moves points and tracers so far that what derivatives miss there looked like effects."""
+    m = lengths.measurement(np.random.default_rng(5), 60)
+    off = np.zeros(len(m.length))
+    off[77] = wrong_by
+    found = diagnose(replace(m, length=m.length + off).adjusted())
+    assert found.verdict == "clean" and not found.findings and not found.variance_groups
+    assert len(found.outliers) == 1 and 0.8 < found.noise.ratio < 1.2
+
+
+def test_a_tracer_with_another_fault_than_noise_gives_no_effects() -> None:
+    """All its lengths are off by tenths of millimetres: its noise is 2,000 times that of the others."""
+    rng = np.random.default_rng(7)
+    m = lengths.measurement(rng, 60)
+    off = np.where(m.tracer == 2, rng.normal(0, 0.2, len(m.length)), 0.0)
+    found = diagnose(replace(m, length=m.length + off).adjusted())
+    assert not found.findings and not found.scatters
+    places = {one.keys["tracer"] for one in found.outliers} | {group.name for group in found.variance_groups}
+    assert places == {"T2"} and 0.8 < found.noise.ratio < 1.2
+
+
+def test_a_gross_distance_of_a_launch_unit_gives_no_effects() -> None:
+    m = launch.measurement(np.random.default_rng(6), True)
+    read = m.read.copy()
+    read[0, 5] += 100.0
+    found = diagnose(replace(m, read=read).adjusted())
+    assert found.verdict == "clean" and not found.findings and len(found.outliers) == 1
+
+
+@pytest.mark.alike
 @pytest.mark.parametrize("number", [302, 1582])
 def test_one_wrong_coordinate_is_no_bad_pose_nor_a_moved_target(number: int) -> None:
     """An image of two targets, or a target in one image: the effect explains the coordinate, and so does the error."""

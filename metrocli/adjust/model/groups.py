@@ -100,10 +100,11 @@ class Group:
         """Return the group with some of its readings."""
         return self.with_observations(self.observations.selected(keep))
 
-    def with_noise_times(self, factor: float) -> Group:
-        """Return the group with a factor on the standard deviations of its readings."""
-        observations = self.observations
-        covariance = None if observations.covariance is None else observations.covariance * factor**2
+    def with_noise_times(self, factor: float | Array) -> Group:
+        """Return the group with a factor on the standard deviations of its readings, or one of each, (d, n)."""
+        observations, each = self.observations, np.asarray(factor)
+        both = each[:, None] * each if each.ndim else each**2
+        covariance = None if observations.covariance is None else observations.covariance * both
         return self.with_observations(replace(observations, sigma=observations.sigma * factor, covariance=covariance))
 
     def _weighted(self, values: Array) -> Array:

@@ -292,7 +292,11 @@ def test_what_cannot_be_told_apart_is_refused(folder: Path, metrocli: Metrocli) 
             "method: lengths\nplan: {tracker: [1 m, 1 m, 1 m]}",
             "key (of standstill and on-the-fly)",
         ),
-        ("method: standstill", "method: standstill\ninstrument: {'on': bed}", "readings are in the axes of the workpiece"),
+        (
+            "method: standstill",
+            "method: standstill\ninstrument: {'on': bed}",
+            "readings are in the axes of the workpiece",
+        ),
         ("method: standstill", "method: standstill\nvolume: {circle: 5 m}", "no plane has room for this radius"),
         ("method: standstill", "method: standstill\nestimate: [EXX, EXQ]", "unknown word 'EXQ'"),
         ("method: standstill", "method: standstill\nestimate: []", "the list is empty"),
