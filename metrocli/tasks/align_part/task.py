@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import replace
 
 import numpy as np
@@ -9,7 +10,7 @@ import numpy as np
 from metrocli.adjust.clusters.robust import FROM_RESIDUALS, STRUCTURED, must_suffice
 from metrocli.adjust.outcome import Outcome
 from metrocli.diagnosis.adjusted_job import AdjustedJob
-from metrocli.errors import InputError, UndeterminedError, all_faults
+from metrocli.errors import InputError, NotConvergedError, UndeterminedError, all_faults
 from metrocli.geometry.poses import EULER, pose_from_euler
 from metrocli.instruments.spindle_camera import SPINDLE, part_in_camera
 from metrocli.result import Result
@@ -36,6 +37,7 @@ from metrocli.tasks.shared.images.simulation import (
     sights,
 )
 from metrocli.tasks.shared.images.target_list import known_targets
+from metrocli.words import listed
 
 
 def run(job: Job[Settings, Files]) -> Result:
@@ -108,13 +110,43 @@ def solved(settings: Settings, problem: AlignmentProblem) -> AdjustedImages:
         must_suffice(len(problem.blocks[SPINDLE].members), "images")
     largest = max((camera.size for camera in problem.camera.cameras), key=max)
     options = Options(settings.outliers == "remove", settings.noise in FROM_RESIDUALS, largest)
-    adjusted = adjust_images(problem.blocks, problem.images, problem.others, problem.datum, options)
+    try:
+        adjusted = _adjusted(problem, options)
+    except (InputError, NotConvergedError) as error:
+        raise _with_images_left_out(problem, options, error) from None
     solution = adjusted.solution
     if solution.undetermined or solution.outcome is Outcome.TOO_FEW:
         raise UndeterminedError(explained(problem, solution), solution.misfit)
-    must_converge(solution)
     other = mirrored_pose(problem, adjusted)
     return adjusted if other is None else solved(settings, other)
+
+
+def _adjusted(problem: AlignmentProblem, options: Options) -> AdjustedImages:
+    adjusted = adjust_images(problem.blocks, problem.images, problem.others, problem.datum, options)
+    if adjusted.solution.outcome is not Outcome.TOO_FEW:  # that is explained with what is not determined
+        must_converge(adjusted.solution)
+    return adjusted
+
+
+def _with_images_left_out(
+    problem: AlignmentProblem, options: Options, error: InputError | NotConvergedError
+) -> InputError | NotConvergedError:
+    """Return the error, or one that names the images without which the others fit: their poses or names are wrong."""
+    if options.remove_outliers:
+        return error
+    try:
+        rest = _adjusted(problem, replace(options, remove_outliers=True))
+    except (InputError, NotConvergedError):
+        return error
+    keys = problem.images.observations.keys["image"]
+    wrong, fitting = Counter(rest.rejected.texts("image")), Counter(rest.group.observations.keys["image"])
+    images = [name for name in dict.fromkeys(keys) if wrong[name] > fitting[name]]
+    if not images:
+        return error
+    return InputError(
+        f"the image points of {listed(images)} do not fit those of the other images, which fit each other\n"
+        "check the rows of these images in the file of poses, and their names; `outliers: remove` leaves them out"
+    )
 
 
 def simulate(job: Job[Settings, Files], options: SimulationOptions) -> Simulation:
