@@ -187,14 +187,14 @@ def readings_kept(m: Measurement, wrong: Iterable[Fixed]) -> dict[str, Mask]:
     return kept
 
 
-def with_group_noise(m: Measurement, ratios: Mapping[int, float]) -> AdjustedJob:
-    """Return the job of a measurement in which some variance groups have so many times their declared noise."""
+def with_group_noise(job: AdjustedJob, m: Measurement, ratios: Mapping[int, float]) -> AdjustedJob:
+    """Return a job in which some variance groups of its measurement have so many times their declared noise."""
     factor = np.ones(m.system.rows)
     for number, ratio in ratios.items():
         factor[m.units[number][2]] *= ratio
-    model = m.job.model
+    model = job.model
     for group in model.readings if ratios else ():
         d, n = group.observations.readings.shape
         start = m.system.first[group.name]
         model = model.with_group(group.with_noise_times(factor[start : start + n * d].reshape(n, d).T))
-    return replace(m.job, model=model)
+    return replace(job, model=model)

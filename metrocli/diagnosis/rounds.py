@@ -166,7 +166,7 @@ def searched(job: AdjustedJob, quick: bool = False) -> tuple[State, State]:
         # effects that are found beside a gross reading are perhaps its higher-order terms
         names = [] if gross else all_identified(state, with_rivals=False)
         known = gross or known
-        fit = extended_fit(with_group_noise(m, known.noise), names, readings_kept(m, known.readings.values()))
+        fit = extended_fit(with_group_noise(job, m, known.noise), names, readings_kept(m, known.readings.values()))
         if fit is None:
             # the job cannot be adjusted with them: then the search goes on beside their first order
             state = forward(state, least=least, since=since)
