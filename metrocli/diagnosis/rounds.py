@@ -6,6 +6,7 @@ Method: docs/algorithms/evidence.md.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from math import log
 
 from metrocli.adjust.clusters.robust import STRUCTURED
 from metrocli.diagnosis.adjusted_job import AdjustedJob
@@ -14,7 +15,7 @@ from metrocli.diagnosis.evidence.identified import all_identified
 from metrocli.diagnosis.evidence.measured_job import measurement_of
 from metrocli.diagnosis.evidence.measurement import Measurement
 from metrocli.diagnosis.evidence.moves import effects
-from metrocli.diagnosis.evidence.parts import Fixed
+from metrocli.diagnosis.evidence.parts import LARGEST, Fixed
 from metrocli.diagnosis.evidence.refined import refined
 from metrocli.diagnosis.evidence.search import forward, pruned, swapped
 from metrocli.diagnosis.evidence.state import State
@@ -26,8 +27,6 @@ from metrocli.frozen import dataclass
 _ROUNDS = 4
 _DOMINANT, _MANY = 4.0, 50
 """Effects are dominant if they lower the mean square by this factor, with at least so many degrees of freedom"""
-_GROSS = 10.0
-"""Ratio of noise from which a variance group has another fault than noise"""
 _MOST_OF_IT = 0.01
 """Share of all that was gained by which a move must raise the score in a quick search"""
 
@@ -68,7 +67,7 @@ class Gross:
         old = [*_old_and_new(state)[0], *self.readings.values()]
         if new and _mean_square(state, old) <= _DOMINANT * _mean_square(state, [*old, *new.values()]):
             new = {}
-        noisy = {number: ratio for number, ratio in state.measurement.noise.items() if ratio > _GROSS}
+        noisy = {number: ratio for number, ratio in state.measurement.noise.items() if 2 * log(ratio) > LARGEST}
         if not new and noisy.keys() <= self.noise.keys():
             return None
         return Gross({**self.readings, **new}, {**self.noise, **noisy})
