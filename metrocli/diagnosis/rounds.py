@@ -11,7 +11,7 @@ from math import log
 from metrocli.adjust.clusters.robust import STRUCTURED
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.evidence.folds import surely
-from metrocli.diagnosis.evidence.identified import all_identified
+from metrocli.diagnosis.evidence.identified import IdentifiedEffect, all_identified
 from metrocli.diagnosis.evidence.measured_job import measurement_of
 from metrocli.diagnosis.evidence.measurement import Measurement
 from metrocli.diagnosis.evidence.moves import effects
@@ -134,6 +134,13 @@ def _chosen_anew(state: State) -> State:
     return state
 
 
+def _adjusted_with(
+    job: AdjustedJob, m: Measurement, names: Sequence[IdentifiedEffect], gross: Gross
+) -> AdjustedJob | None:
+    noisier = with_group_noise(job, m, gross.noise)
+    return extended_fit(noisier, names, readings_kept(m, gross.readings.values()))
+
+
 def searched(job: AdjustedJob, quick: bool = False) -> tuple[State, State]:
     """Return the state of a job as it is, and that of the search about the solution with its dominant effects.
 
@@ -149,23 +156,29 @@ def searched(job: AdjustedJob, quick: bool = False) -> tuple[State, State]:
         )
     first = state = begin = State.of(m)
     since, least = first.score, _MOST_OF_IT if quick else 0.0
-    known = Gross({}, {})
+    # None once the job cannot be adjusted without what is gross
+    known: Gross | None = Gross({}, {})
 
     def ends_it(found: State) -> bool:
-        return is_overwhelmed(found) or known.beside(found) is not None
+        return is_overwhelmed(found) or (known is not None and known.beside(found) is not None)
 
     for left in reversed(range(_ROUNDS)):
         # in the last round nothing stops the search: what dominates then is named about the solution that there is
         state = forward(begin, stop=ends_it if left else None, least=least, since=since)
         # not adjusted with effects whose sizes may be nothing: all else would be linearised about these sizes
         state = state if quick else surely(state)
-        gross = known.beside(state)
+        gross = None if known is None else known.beside(state)
         if not left or (gross is None and not is_dominated(state)):
             break
-        # effects that are found beside a gross reading are perhaps its higher-order terms
-        names = [] if gross else all_identified(state, with_rivals=False)
+        # effects that are found beside a gross reading, and not adjusted yet, are perhaps its higher-order terms
+        named = all_identified(state, with_rivals=False)
+        names = [name for name in named if gross is None or name.alternative.spot in m.job.adjusted]
         known = gross or known
-        fit = extended_fit(with_group_noise(job, m, known.noise), names, readings_kept(m, known.readings.values()))
+        fit = _adjusted_with(job, m, names, known or Gross({}, {}))
+        if fit is None and known is not None and (known.readings or known.noise):
+            # too few readings are left of something: from now on all of them take part
+            known, begin = None, state
+            continue
         if fit is None:
             # the job cannot be adjusted with them: then the search goes on beside their first order
             state = forward(state, least=least, since=since)

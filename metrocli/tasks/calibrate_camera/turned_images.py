@@ -25,7 +25,7 @@ _GAIN = 50.0
 """Decrease of chi-square by turning images back from which they are named, in units of the residuals' variance"""
 _FITS, _MUCH = 4.0, 2.0
 """Variance, in that declared, above which something else is wrong, and how much smaller chi-square has to be then"""
-_BETWEEN, _WITHIN = 3.0, 0.15
+_BETWEEN, _WITHIN = 3.0, 0.3
 """Squares of the two means in those of noise, for each image, and what may be left about them beyond noise"""
 _AXES = ("cx", "cy")
 
