@@ -126,6 +126,8 @@ def _matching(
             if first == "**":
                 if below.is_dir() and not below.is_symlink():
                     yield from _matching(below, parts, looked_at, searched)
+            elif name.startswith(".") and not first.startswith("."):
+                continue  # hidden, as a shell has it: `*` is not for .gitkeep, nor for ._view01.jpg
             elif fnmatch.fnmatchcase(name, first) and (not rest or below.is_dir()):
                 yield from _matching(below, rest, looked_at, searched)
 

@@ -289,6 +289,17 @@ def test_a_pattern_over_a_whole_disk_is_refused(job: Path, metrocli: Callable[..
     assert "looks through more than 30 files" in metrocli("check", job).err
 
 
+def test_a_pattern_leaves_hidden_files_out(tmp_path: Path) -> None:
+    """A Mac writes ._a.png beside a.png on foreign disks."""
+    (tmp_path / "img").mkdir()
+    for name in ("a.png", "._a.png", ".gitkeep"):
+        (tmp_path / "img" / name).touch()
+    for pattern, found in (("img/*", ["a.png"]), ("img/.g*", [".gitkeep"])):
+        inputs = f"inputs: {{images: {pattern}}}\npattern: {{type: chessboard, columns: 9, rows: 6, pitch: 25 mm}}\n"
+        (tmp_path / "board.yaml").write_text(f"metrocli: 1\njob: calibrate-camera\nrig: board\nnoise: 1 px\n{inputs}")
+        assert [path.name for one in load(tmp_path / "board.yaml").inputs for path in one.paths] == found
+
+
 def test_titles_do_not_reach_the_terminal_raw(job: Path, metrocli: Callable[..., Any]) -> None:
     job.write_text(job.read_text() + 'title: "\\e[2J\\e]0;owned\\a\\u009b31m red"\n')
     out = metrocli("straight-line", job).out

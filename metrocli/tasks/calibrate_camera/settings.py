@@ -286,6 +286,8 @@ _LENGTHS = ("test_lengths", "length_measuring_error", "length_max_en", "length_e
 
 
 def figures(settings: Settings) -> dict[str, str]:
-    """Return the units of the figures; the pose is there only with rig cmm."""
-    lens = {name: UNITS.get(name, "1") for name in PARAMETERS}
-    return adjusted(lens | POSE, (*_STATISTICS, *_LENGTHS), ["px"])
+    """Return the units of the figures; the pose is there with rig cmm, and of each of several cameras."""
+    own = {name: UNITS.get(name, "1") for name in PARAMETERS} | POSE
+    if settings.cameras is not None:
+        own = {f"{camera}.{name}": unit for camera in settings.cameras for name, unit in own.items()}
+    return adjusted(own, (*_STATISTICS, *_LENGTHS), ["px"])

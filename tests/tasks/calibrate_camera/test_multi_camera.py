@@ -95,6 +95,15 @@ def test_lenses_and_pose_are_found(tmp_path: Path, metrocli: Metrocli) -> None:
     assert "mm from left" in ran.out
 
 
+def test_requirements_name_the_camera(tmp_path: Path, metrocli: Metrocli) -> None:
+    path = job(tmp_path, seen(5))
+    text = path.read_text()
+    path.write_text(text + 'require: {left.f.std: "< 1 px", right.z.std: "< 1 mm"}\n')
+    assert metrocli("check", path).code == 0
+    path.write_text(text + 'require: {f: "> 1 px"}\n')
+    assert "the result has no value 'f'" in metrocli("check", path).err
+
+
 def test_images_of_one_exposure_have_errors_of_their_own(tmp_path: Path) -> None:
     """They share the pose of the exposure, and no smooth error: each image has its own functions."""
     m = measurement_of(adjusted_job_of(load(job(tmp_path, seen(5)))))
