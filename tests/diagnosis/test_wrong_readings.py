@@ -67,6 +67,22 @@ def test_a_tracer_with_another_fault_than_noise_gives_no_effects() -> None:
     assert places == {"T2"} and 0.8 < found.noise.ratio < 1.2
 
 
+def test_a_term_of_a_lens_is_named_beside_a_gross_coordinate() -> None:
+    """The rounds that adjust with the terms begin at the job as it is, not at that of the round before."""
+    rng, name = np.random.default_rng(1), "radial-distortion"
+    scene = images._scene("calibrate-camera", "x", rng, "board", True)
+    planted = images.planted(
+        images.read(images.without(scene, [images.PLANTS["calibrate-camera"][name]], [name]), rng), rng, name, 300
+    )
+    assert planted is not None
+    seen, _ = planted
+    uv = seen.uv.copy()
+    uv[5, 0] += 300 * seen.scene.noise
+    found = diagnose(replace(seen, uv=uv).adjusted())
+    assert found.findings[0].effect.alternative.effect.name == name
+    assert len(found.outliers) == 1 and 0.8 < found.noise.ratio < 1.2
+
+
 def test_a_gross_distance_of_a_launch_unit_gives_no_effects() -> None:
     m = launch.measurement(np.random.default_rng(6), True)
     read = m.read.copy()
