@@ -75,8 +75,6 @@ def image_faults(
     if images is not None and pattern is None:
         example = "pattern: {type: chessboard, columns: 9, rows: 6, pitch: 25 mm}"
         yield "inputs.images", f"images need a pattern that describes their targets, e.g. {example}"
-    if observations is not None and targets is not None and pattern is not None:
-        yield "pattern", "no image is searched here, and the targets have a list of their own: leave this key out"
     if targets is None and (observations or pattern) is not None and (pattern is None or pattern.type not in GRIDS):
         yield "inputs", "the key 'targets' is missing in 'inputs': the coordinates of the targets"
 
