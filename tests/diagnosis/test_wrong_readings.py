@@ -86,7 +86,7 @@ def test_a_term_of_a_lens_is_named_beside_a_gross_coordinate() -> None:
 def test_a_gross_distance_of_a_launch_unit_gives_no_effects() -> None:
     m = launch.measurement(np.random.default_rng(6), True)
     read = m.read.copy()
-    read[0, 5] += 100.0
+    read[launch.READINGS.index("distance"), 5] += 100.0
     found = diagnose(replace(m, read=read).adjusted())
     assert found.verdict == "clean" and not found.findings and len(found.outliers) == 1
 

@@ -34,7 +34,12 @@ def turn(a: float, b: float, c: float) -> np.ndarray:
 
 
 def write(
-    folder: Path, rolls: list[float], shift: np.ndarray, focal: float = 690, name: Callable[[int], str] = "v{}".format
+    folder: Path,
+    rolls: list[float],
+    shift: np.ndarray,
+    focal: float = 690,
+    name: Callable[[int], str] = "v{}".format,
+    stretch: float = 0.0,
 ) -> Path:
     """Tilted views of a flat board through a lens without distortion; every second one is turned and shifted.
 
@@ -49,7 +54,7 @@ def write(
         roll = rolls[view % len(rolls)]
         # the tilt is in the camera's frame, so that the turned images are tilted in all directions too
         rotation = turn(*rng.uniform(-0.6, 0.6, 2), 0.0) @ turn(0.0, 0.0, roll + rng.normal(0, 0.03))
-        seen = (listed - [87.5, 62.5, 0]) @ rotation.T + [*rng.uniform(-15, 15, 2), 420]
+        seen = (listed - [87.5, 62.5, 0]) * [1 + stretch, 1, 1] @ rotation.T + [*rng.uniform(-15, 15, 2), 420]
         uv = (690 if view < 7 else focal) * seen[:, :2] / seen[:, 2:] + [320, 240] + (shift if roll else 0.0)
         uv += rng.normal(0, NOISE, uv.shape)
         rows += [f"{name(view)}.png,T{i:02d},{u},{v}" for i, (u, v) in enumerate(uv.tolist())]
@@ -116,3 +121,11 @@ def test_series_have_names_whatever_the_files_are_called() -> None:
     names, number = image_groups._by_name(["left_1.jp2", "left_2.jp2", "left_3.jp2", "04.jp2", "05.jp2", "extra.jp2"])
     assert names == ("left_", "numbers only") and number.tolist() == [0, 0, 0, 1, 1, 0]
     assert image_groups._by_name(["a.png", "b.png", "c.png"])[0] == ("a",)
+
+
+@pytest.mark.parametrize("stretch", [0.002, 0.004])
+def test_views_of_a_stretched_board_are_not_called_turned(stretch: float, tmp_path: Path, metrocli: Metrocli) -> None:
+    """Each view has a principal point of its own then: they scatter about the middle and do not stand at two places."""
+    rolls = np.random.default_rng(5).uniform(0, 2 * np.pi, 12).tolist()
+    ran = metrocli("calibrate-camera", write(tmp_path, rolls, np.zeros(2), stretch=stretch))
+    assert "turned by 180 degrees" not in ran.out + ran.err

@@ -502,3 +502,16 @@ def test_simultaneous_readings_are_correlated_as_their_rows_are(tmp_path: Path) 
     apart = [{"between": pair, "value": 0} for pair in (["V", "I"], ["V", "phi"], ["I", "phi"])]
     ran = carry_out(tmp_path, {**job, "correlations": apart})
     assert ran.details("Z")["std"] == pytest.approx(math.hypot(0.0032094 / 4.999, 0.009471 / 19.661) * 254.26, rel=1e-3)
+
+
+@pytest.mark.parametrize(("model", "value", "std"), [("a**2", 1e-6, 2**0.5 * 1e-6), ("1000*a - 1000*a", 0.0, 0.0)])
+def test_where_slopes_are_zero_the_second_order_stays(
+    model: str, value: float, std: float, tmp_path: Path, metrocli: Callable[..., Any]
+) -> None:
+    """A square at 0 has u = sqrt(2) u(a)^2; what cancels has nothing."""
+    text = f"quantities: {{a: {{value: 0, std: 0.001}}}}\nmeasurands: {{s: {{model: {model}}}}}\nmonte_carlo: {{trials: 0}}\n"
+    (tmp_path / "job.yaml").write_text(f"metrocli: 1\njob: report-uncertainty\n{text}output: u.h5\n")
+    ran = metrocli("report-uncertainty", tmp_path / "job.yaml", "--json")
+    found = json.loads(ran.out)["estimates"]["s"]["second_order"]
+    assert (found["value"], found["std"]) == pytest.approx((value, std), abs=1e-15)
+    assert ("U = 0 lacks what the second order changes" in ran.out + ran.err) == (value > 0)
