@@ -216,7 +216,7 @@ def test_time_of_a_laser_shows_drift_and_what_it_cannot_see_is_told(folder: Path
     found = json.loads(metrocli("diagnose", job, "--json").out)
     assert [one["name"] for one in found["effects"]] == ["machine-drift"]
     drift = found["effects"][0]["parameters"]["vx"]
-    assert abs(drift["value"] - 5e-5) < 4 * drift["std"] < 5e-6
+    assert abs(drift["value"] - 5e-5) < 4 * drift["std"] < 7e-6
     told = {one["name"]: one["reason"] for one in found["candidates"] if one["status"] == "not-tested"}
     assert told["tracker-scale"] == told["tracker-drift"] == "has no influence on the readings"
     job.write_text(f"{LINES}effects: [{{name: tracker-scale}}]\n")

@@ -66,9 +66,10 @@ def test_a_reading_changes_by_the_formula_and_the_others_do_not(name, parameter,
 
 @pytest.mark.slow
 def test_an_error_that_shows_is_named() -> None:
-    found = tracker_errors.outcome("tracker-range-zero", 1, machine.SMALL)
-    assert (found.verdict, found.status, found.wrong) == ("explained", "named", ())
-    assert found.made > 0.01
+    found = [tracker_errors.outcome("tracker-range-zero", number, machine.SMALL) for number in (1, 2, 3, 4)]
+    assert all((one.status, one.wrong) == ("named", ()) and one.made > 0.01 for one in found)
+    # where another error would fit about as well, the report lists it instead of choosing
+    assert {one.verdict for one in found} == {"explained", "indistinct"}
 
 
 @pytest.mark.slow
