@@ -22,7 +22,7 @@ from metrocli.uncertainty.comparison import TABLES_COVARIANCE
 _FLANGE = np.zeros((3, 1))
 """Tool vector of the spindle's reference point, in which the taper of the camera sits"""
 _LEVER = 1e3
-"""Length [mm] at which a turn of the spindle is held against a shift"""
+"""Length [mm] at which a turn of the spindle is compared with a shift"""
 _ROUNDING = 1e-7
 """Share of the largest singular value below which a motion of the poses is rounding"""
 

@@ -66,7 +66,7 @@ def diagnosed(job: Job[Settings, Files]) -> AdjustedJob:
 def other_settings(job: Job[Settings, Files], fits: bool) -> Iterator[tuple[Mistake, Job[Settings, Files]]]:
     """Yield several cameras in place of one whose images pair, and the model fisheye in place of a pinhole.
 
-    The model is held against the readings where no declared noise fits.
+    The model is compared with the readings where no declared noise fits.
     """
     settings = job.settings
     if settings.cameras is None:
