@@ -18,6 +18,8 @@ FLATTEST = 0.3
 """Smallest ratio of the minor to the major axis."""
 ROUND = 0.12
 """Largest relative difference between a contour's area and that of the ellipse with the same moments."""
+FAINTEST = 0.4
+"""Smallest contrast times size of a circle of a grid, relative to that of the other circles"""
 STEP = 0.06
 """Step of the local thresholds above the mean of the surroundings, as a share of the image's grey-value range."""
 
@@ -42,22 +44,32 @@ def ellipses(picture: Picture, polarity: str) -> list[Ellipse]:
 
 
 def clearest(picture: Picture, candidates: list[Ellipse], most: int) -> list[Ellipse]:
-    """Return at most so many of the ellipses, in their order: those with the largest product of contrast and size.
-
-    Contrast is that of the centre pixel against eight pixels around the ellipse.
-    """
+    """Return at most so many of the ellipses, in their order: the clearest."""
     if len(candidates) <= most:
         return candidates
+    kept = np.sort(np.argsort(-_clearness(picture, candidates), kind="stable")[:most])
+    return [candidates[row] for row in kept]
+
+
+def as_clear(picture: Picture, candidates: list[Ellipse], number: int) -> list[Ellipse]:
+    """Return the ellipses that are about as clear as so many of the clearest: the grain of a surface is fainter."""
+    clearness = _clearness(picture, candidates)
+    least = FAINTEST * np.sort(clearness)[::-1][min(number, len(candidates)) - 1]
+    return [candidate for candidate, clear in zip(candidates, clearness, strict=True) if clear >= least]
+
+
+def _clearness(picture: Picture, candidates: list[Ellipse]) -> Array:
+    """Return contrast times size: the contrast of eight pixels inside each ellipse against eight around it."""
     height, width = picture.shape
     angle = np.arange(8) * (np.pi / 4)
     u, v, long, short = np.array([(ellipse.u, ellipse.v, ellipse.long, ellipse.short) for ellipse in candidates]).T
-    away = 1.5 * long[:, None] + 1
-    around_u = np.clip(np.rint(u[:, None] + away * np.cos(angle)), 0, width - 1).astype(int)
-    around_v = np.clip(np.rint(v[:, None] + away * np.sin(angle)), 0, height - 1).astype(int)
-    inner = picture[np.rint(v).astype(int), np.rint(u).astype(int)].astype(float)
-    contrast = np.abs(inner - picture[around_v, around_u].mean(axis=1))
-    kept = np.sort(np.argsort(-contrast * short, kind="stable")[:most])
-    return [candidates[row] for row in kept]
+
+    def mean(away: Array) -> Array:
+        at_u = np.clip(np.rint(u[:, None] + away[:, None] * np.cos(angle)), 0, width - 1).astype(int)
+        at_v = np.clip(np.rint(v[:, None] + away[:, None] * np.sin(angle)), 0, height - 1).astype(int)
+        return np.asarray(picture[at_v, at_u].mean(axis=1))
+
+    return np.asarray(np.abs(mean(short / 2) - mean(1.5 * long + 1)) * short)
 
 
 def _masks(grey: npt.NDArray[np.uint8]) -> list[npt.NDArray[np.uint8]]:

@@ -12,9 +12,9 @@ import numpy as np
 from metrocli.arrays import Picture
 from metrocli.targets import blobs, ellipses
 from metrocli.targets.blobs import Ellipse
-from metrocli.targets.ellipses import of_ellipses
+from metrocli.targets.ellipses import FittedEllipse, of_ellipses
 from metrocli.targets.find import FoundTargets, nothing
-from metrocli.targets.lattice import FEWEST, largest, ordered
+from metrocli.targets.lattice import FEWEST, Whole, largest, ordered
 from metrocli.targets.pattern import Pattern, lattice, names
 
 
@@ -33,6 +33,7 @@ def shown_grids(picture: Picture) -> Iterator[Pattern]:
         starts = blobs.ellipses(picture, polarity)
         if len(starts) < _FEWEST:
             continue
+        starts = blobs.as_clear(picture, starts, _FEWEST)
         steps = largest(np.array([(start.u, start.v) for start in starts]), len(starts))[1]
         # in every second place of a lattice turned by 45 degrees are the circles of shifted rows
         turned = np.stack([steps[:, 0] - steps[:, 1], steps.sum(axis=1)], axis=1)
@@ -46,6 +47,8 @@ def shown_grids(picture: Picture) -> Iterator[Pattern]:
 
 _FEWEST = 12
 """Fewest circles of a grid that nothing states"""
+_NOISIEST = 0.35
+"""Largest misfit that noise explains: beyond it the grain of a surface looks like ellipses"""
 
 
 def _of_polarity(pattern: Pattern, picture: Picture, polarity: str) -> FoundTargets:
@@ -53,15 +56,28 @@ def _of_polarity(pattern: Pattern, picture: Picture, polarity: str) -> FoundTarg
     expected = lattice(pattern)
     if len(starts) < 4:
         return nothing(f"no grid of circles: {len(starts)} {polarity} ellipses in the image")
-    rows, reason = ordered(expected, np.array([(start.u, start.v) for start in starts]))
+    rows, reason = _ordered(expected, starts)
+    if reason:
+        # the grain of a surface makes many faint ellipses, which may continue the lattice or break it
+        starts = blobs.as_clear(picture, starts, int(FEWEST * len(expected)))
+        rows, reason = _ordered(expected, starts)
     if reason:
         return nothing(f"no grid of circles: {reason}")
     seen = np.flatnonzero(rows >= 0)
     chosen = [starts[row] for row in rows[seen]]
     fits = [ellipses.fit(picture, start, reach) for start, reach in zip(chosen, _reaches(chosen), strict=True)]
     named = names(pattern)
-    good = [(named[place], fit) for place, fit in zip(seen, fits, strict=True) if ellipses.is_good(fit)]
+    good = [(named[at], fit) for at, fit in zip(seen, fits, strict=True) if _is_circle(fit)]
     return of_ellipses([name for name, _ in good], [fit for _, fit in good if fit is not None])
+
+
+def _is_circle(fit: FittedEllipse | None) -> bool:
+    """Return whether the misfit is small enough beside noise: that it lies on the lattice shows that it is a circle."""
+    return fit is not None and fit.misfit < min(np.hypot(ellipses.MISFIT, fit.noise), _NOISIEST)
+
+
+def _ordered(expected: Whole, starts: list[Ellipse]) -> tuple[Whole, str]:
+    return ordered(expected, np.array([(start.u, start.v) for start in starts]))
 
 
 def _reaches(starts: list[Ellipse]) -> list[float]:

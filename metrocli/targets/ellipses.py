@@ -23,8 +23,8 @@ BLUR = 0.8
 """Starting value of the edge's blur, in pixels: a common lens and the pixel itself."""
 FEWEST = 16
 """Fewest pixels of a fit."""
-STEPS = 12
-"""Limit of the Gauss-Newton steps."""
+STEPS = 30
+"""Limit of the Gauss-Newton steps: noise of a fifth of the contrast takes twenty."""
 ROUNDS = 4
 """Limit of the rounds; each chooses the pixels anew, around the ellipse of the round before."""
 SAME = 0.4
@@ -33,6 +33,8 @@ STILL = 0.001
 """A step shorter than this, in pixels, is the last one: the next would be about its square."""
 MISFIT = 0.12
 """Largest root mean square residual of an ellipse, in units of its contrast."""
+FLAT = 0.48
+"""Smallest |covered - 1/2| of pixels away from the edge."""
 EVEN, SLOPING = 8, 10
 """Number of unknowns if the light is even over the target, and if it varies linearly across it."""
 SLOPE_TEST = 12.0
@@ -53,6 +55,8 @@ class FittedEllipse:
     """Grey value of the target minus that of the background."""
     misfit: float
     """Root mean square residual in units of the contrast."""
+    noise: float
+    """Standard deviation of the residuals away from the edge, in units of the contrast; robust."""
     blur: float
     """Standard deviation of the edge's blur in pixels."""
 
@@ -269,9 +273,11 @@ def _judged(model: _Model, residual: Array, jacobian: Array) -> FittedEllipse | 
     semi, turn = _axes_of(model.shape, model.blur)
     ellipse = Ellipse(float(model.centre[0]), float(model.centre[1]), float(semi[0]), float(semi[1]), turn)
     misfit = float(np.sqrt(np.mean(residual**2)) / abs(model.contrast))
-    return FittedEllipse(
-        ellipse, float(np.sqrt(variance)), float(model.background), float(model.contrast), misfit, model.blur
-    )
+    # the derivative by the contrast is the share that is covered, under even light
+    even = np.abs(residual[np.abs(jacobian[:, 7] - 0.5) > FLAT])
+    noise = float(1.4826 * np.median(even) / abs(model.contrast)) if len(even) >= FEWEST else 0.0
+    levels = float(model.background), float(model.contrast)
+    return FittedEllipse(ellipse, float(np.sqrt(variance)), *levels, misfit, noise, model.blur)
 
 
 def _axes_of(shape: Array, blur: float) -> tuple[Array, float]:

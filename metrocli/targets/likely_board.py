@@ -36,22 +36,23 @@ def likely_board(pattern: Pattern, pictures: Iterable[Picture]) -> str:
         own = pattern.type == "aprilgrid"  # its search has named what does not fit
         return "" if own else "AprilTags with a border of two cells: is it type: aprilgrid?"
     circles = pattern.type in ("circles", "asymmetric-circles")
-    if circles and (size := _likely_circles(pattern, reduced)):
-        return _in_words(size, "")
     for place, picture in enumerate(reduced):
         if marked := _marked(pattern, picture, reduced):
             return marked
+        # circles first: what is between them looks like corners of a chessboard
+        if place == 0 and (grid := _other_circles(pattern, reduced)):
+            return grid
+        if place == 0 and circles and (size := _likely_circles(pattern, reduced)):
+            return _in_words(size, "")
         if place == 0 and (chess := _chessboard(pattern, reduced)):
             return chess
-    if grid := _other_circles(pattern, reduced):
-        return grid
     if circles and (count := _shown_circles(pattern, reduced)):
         return f"{count} circles, and the pattern of the job has {pattern.shape[0] * pattern.shape[1]}"
     return ""
 
 
 def _chessboard(pattern: Pattern, pictures: Sequence[Picture]) -> str:
-    """Return the chessboard that most pictures show, if its corners are found: OpenCV takes circles for one, too."""
+    """Return the chessboard that most pictures show, if its corners are found."""
     sizes = [shown_size(picture) for picture in pictures]
     size = max(filter(None, sizes), key=sizes.count, default=None)
     if size is None or sizes.count(size) <= _SHARE * len(pictures):
@@ -107,7 +108,8 @@ def _other_circles(pattern: Pattern, pictures: Sequence[Picture]) -> str:
         grids = [grid for grid in shown_grids(first) if (grid.type, *grid.shape) != own]
         for grid in sorted(grids, key=lambda grid: -grid.shape[0] * grid.shape[1]):
             if sum(len(find(grid, picture)) > 0 for picture in pictures) > _SHARE * len(pictures):
-                return _in_words((grid.shape[1], grid.shape[0]), f"type: {grid.type}, ")
+                kind = "" if grid.type == pattern.type else f"type: {grid.type}, "
+                return _in_words((grid.shape[1], grid.shape[0]), kind)
     return ""
 
 

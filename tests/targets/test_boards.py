@@ -235,9 +235,25 @@ def test_real_circles_where_opencv_gives_a_wrong_order() -> None:
     [
         (11, 4, "4 x 11: is it columns: 4, rows: 11?"),
         pytest.param(5, 10, "4 x 11: is it columns: 4, rows: 11?", marks=pytest.mark.slow),
-        (4, 8, "4 x 11: is it type: asymmetric-circles, columns: 4, rows: 11?"),
+        (4, 8, "4 x 11: is it columns: 4, rows: 11?"),
     ],
 )
 def test_circles_counted_in_the_other_order_are_no_chessboard(columns: int, rows: int, words: str) -> None:
     image, _ = seen(SHIFTED, np.random.default_rng(3), Look())
     assert likely_board(Pattern("asymmetric-circles", columns, rows, 16.0, diameter=12.0), [image]) == words
+
+
+@pytest.mark.alike
+@pytest.mark.parametrize("seed", range(3))
+def test_circles_on_a_grained_surface_are_found_and_named(seed: int) -> None:
+    """Grain of a quarter of the contrast makes hundreds of faint ellipses, and no circle fits its grey values well."""
+    rng, pattern = np.random.default_rng(seed), replace(SHIFTED, pitch=14.0, diameter=10.0)
+    image, true = seen(pattern, rng, Look(ink=70, paper=120, background=120))
+    grain = cv2.GaussianBlur(rng.normal(0, 1, image.shape), (0, 0), 0.7)
+    image = (image + 10 * grain / grain.std()).clip(0, 255).astype(np.uint8)
+    found = find(pattern, image)
+    rows = [names(pattern).index(name) for name in found.targets]
+    assert len(rows) >= 0.9 * len(true), found.reason
+    assert np.sqrt(np.mean((found.uv - true[rows]) ** 2)) < 0.25
+    wrong = Pattern("chessboard", 9, 6, 25.0)
+    assert "is it type: asymmetric-circles, columns: 4, rows: 11?" in likely_board(wrong, [image])
