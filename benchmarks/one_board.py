@@ -11,27 +11,22 @@ stays; a bend may not, since the board is held by hand.
 
 from __future__ import annotations
 
-import hashlib
-import io
 import json
-import re
 import subprocess
 import sys
-import tarfile
-import urllib.request
-from pathlib import Path
 from typing import Any
-from urllib.parse import urljoin
 
 import numpy as np
 
 from benchmarks.bars import Number
+from benchmarks.fetched import Images
 
-INDEX, NAME = "https://pypi.org/simple/pose2sim/", "pose2sim-0.9.8.tar.gz"
-DIGEST = "1785fd249192d039a111ab93ceeee9f41c475589b1f213605044779856e43a7f"
-"""SHA-256 of the file"""
-SOURCE = "Pose2Sim/Demo_SinglePerson/calibration/intrinsics/"
-HERE = Path(__file__).parents[1] / "build" / "one_board"
+IMAGES = Images(
+    "pose2sim",
+    "pose2sim-0.9.8.tar.gz",
+    "1785fd249192d039a111ab93ceeee9f41c475589b1f213605044779856e43a7f",
+    "Pose2Sim/Demo_SinglePerson/calibration/intrinsics",
+)
 CAMERAS = ("cam01", "cam02", "cam03", "cam04")
 JOB = """metrocli: 1
 job: calibrate-camera
@@ -46,28 +41,10 @@ BAND = {"least": 0.45, "most": 1.55}
 EFFECTS = "effects:\n- name: stretched-targets\n- name: target-plane-bend\n"
 
 
-def fetch() -> None:
-    """Fetch the images from the package index, once, and check them by their digest."""
-    if not (HERE / "cam04_07_int.jpg").exists():
-        with urllib.request.urlopen(INDEX, timeout=60) as answer:
-            page = answer.read().decode()
-        address = next(word for word in re.findall('href="([^"#]+)', page) if word.endswith(NAME))
-        with urllib.request.urlopen(urljoin(INDEX, address), timeout=300) as answer:
-            content = answer.read()
-        if hashlib.sha256(content).hexdigest() != DIGEST:
-            raise OSError(f"{address}: not the file of {DIGEST}")
-        HERE.mkdir(parents=True, exist_ok=True)
-        with tarfile.open(fileobj=io.BytesIO(content)) as archive:
-            for member in archive:
-                file = archive.extractfile(member) if SOURCE in member.name and member.name.endswith(".jpg") else None
-                if file is not None:
-                    (HERE / Path(member.name).name).write_bytes(file.read())
-
-
 def _ran(*arguments: str) -> dict[str, Any]:
     """Return what a command prints as JSON."""
     call = [sys.executable, "-m", "metrocli", *arguments, "--json"]
-    done = subprocess.run(call, check=True, capture_output=True, text=True, cwd=HERE)
+    done = subprocess.run(call, check=True, capture_output=True, text=True, cwd=IMAGES.folder)
     answer: dict[str, Any] = json.loads(done.stdout)
     return answer
 
@@ -75,14 +52,14 @@ def _ran(*arguments: str) -> dict[str, Any]:
 def main() -> int:
     """Calibrate and diagnose each camera; print what each finds of the board, and how well they agree."""
     try:
-        fetch()
+        IMAGES.fetch()
     except OSError as error:
         print(f"skipped: the images cannot be fetched ({error})")
         return 0
     found = list[dict[str, Any]]()
     for camera in CAMERAS:
-        (HERE / f"{camera}.yaml").write_text(JOB.format(camera=camera, effects=""))
-        (HERE / f"{camera}-board.yaml").write_text(JOB.format(camera=camera, effects=EFFECTS))
+        (IMAGES.folder / f"{camera}.yaml").write_text(JOB.format(camera=camera, effects=""))
+        (IMAGES.folder / f"{camera}-board.yaml").write_text(JOB.format(camera=camera, effects=EFFECTS))
         report = _ran("diagnose", f"{camera}.yaml", "--out", f"{camera}-extended.yaml")
         named = [entry["name"] for entry in report["effects"]]
         masked = [entry["name"] for error in report["processes"] for entry in error["instead_of"]]

@@ -7,10 +7,10 @@ false if it predicts held-out images, or parts of a drive, worse. What a set had
 intervals are judged by two halves of its images, each diagnosed alone: their sizes of the planted effect have to agree
 within the uncertainties of both. Of a survey and of a network of images, published results are the judge. What a survey
 has of an effect is what its own job finds with the effect in its model; into the network it is planted beside what is
-published of it. The data are not part of the project: most stand in ../shared/data, the images of four cameras come
-from the package index. Sets that are absent are named and left out.
+published of it. The data are not part of the project: most stand in ../shared/data, the images of four cameras and
+of an endoscope come from the package index. Sets that are absent are named and left out.
 
-    python -m benchmarks real_causes [SET ...]    # left right ... plaza1 ... cam01 cam02 cam03 cam04
+    python -m benchmarks real_causes [SET ...]    # left right ... plaza1 ... cam01 ... endoscope
 """
 
 from __future__ import annotations
@@ -25,7 +25,6 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks import one_board
 from benchmarks.bars import Rate
 from benchmarks.real import boards, network, ranges, survey
 from benchmarks.real.boards import COLUMNS, OF_TARGET, Board, Model
@@ -358,11 +357,12 @@ def main(arguments: list[str]) -> int:
             made |= {title: cases_of(title, Path(name) / title) for title, cases_of in OTHERS.items()}
         else:
             print(f"no measured data at {DATA}")
-        try:
-            one_board.fetch()
-            made |= {one.name: of_board(one, Path(name) / one.name) for one in FETCHED}
-        except OSError as error:
-            print(f"the images of {', '.join(one_board.CAMERAS)} cannot be fetched ({error})")
+        for images, sets in FETCHED.items():
+            try:
+                images.fetch()
+                made |= {one.name: of_board(one, Path(name) / one.name) for one in sets}
+            except OSError as error:
+                print(f"the images of {images.project} cannot be fetched ({error})")
         for title, found in made.items():
             if not arguments or title in arguments:
                 (Path(name) / title).mkdir(parents=True, exist_ok=True)

@@ -130,29 +130,35 @@ class Fit:
     """Rotation vector and place of each image, (images, 6)"""
     sigma: float
     """Robust standard deviation of the residuals [px]"""
+    covariance: Array
+    """Of the shared unknowns: parameters, then places of targets"""
 
     @cached_property
     def residuals(self) -> Array:
         """Read minus predicted (n, 2)."""
         return self.board.uv - predicted(self.board, self.values, self.shifts, self.poses)
 
-    def held_out(self, other: Board) -> Array:
-        """Return the squares of the residuals of each image of another set, after its own pose is estimated.
+    def log_score(self, one: Board, noise: float, weight: Array) -> float:
+        """Return the log density of another image, whose pose is unknown, with the uncertainty of what is shared.
 
-        Those beyond three robust standard deviations count linearly.
+        `r ~ N(0, noise^2 / weight + J covariance J')`, restricted to what no pose changes. Without the covariance an
+        image that alone determines the focal length would count against any larger model.
         """
-        found = []
-        for number in range(len(other.images)):
-            one = other.only(np.array([number]))
-            start = first_pose(one, self.values)
+        pose = _own_pose(one, self, first_pose(one, self.values))
+        unknowns = _Unknowns(one, self.model, self.values)
+        j = unknowns.jacobian(unknowns.packed(self.values, self.shifts, pose[None]))
+        r = (one.uv - predicted(one, self.values, self.shifts, pose[None])).ravel()
+        shared = j[:, :-6] @ np.linalg.cholesky(self.covariance)
+        factor = np.linalg.cholesky(np.diag(noise**2 / weight) + shared @ shared.T)
+        r, own = np.linalg.solve(factor, r), np.linalg.solve(factor, j[:, -6:])
+        basis, triangle = np.linalg.qr(own)
+        left = r - basis @ (basis.T @ r)
+        logs = np.log(np.diag(factor)).sum() + np.log(np.abs(np.diag(triangle))).sum()
+        return float(-left @ left / 2 - logs)
 
-            r = np.abs(_with_own_pose(one, self, start))
-            found.append(float(np.where(r < _LOSS, r**2, _LOSS * (2 * r - _LOSS)).sum()))
-        return np.array(found)
 
-
-def _with_own_pose(one: Board, fit: Fit, pose: Array) -> Array:
-    """Return the residuals of one image after its pose is estimated, in standard deviations of a fit."""
+def _own_pose(one: Board, fit: Fit, pose: Array) -> Array:
+    """Return the pose of one image that is estimated with all else as in a fit."""
     for _ in range(_STEPS):
         r = (one.uv - predicted(one, fit.values, fit.shifts, pose[None])).ravel() / fit.sigma
         weight = np.sqrt(np.minimum(1.0, _LOSS / np.maximum(np.abs(r), 1e-300)))
@@ -167,7 +173,7 @@ def _with_own_pose(one: Board, fit: Fit, pose: Array) -> Array:
         pose = pose + step
         if np.abs(step * scale).max() < _STILL:
             break
-    return (one.uv - predicted(one, fit.values, fit.shifts, pose[None])).ravel() / fit.sigma
+    return pose
 
 
 _SCALES = np.array([1e-3, 1e-3, 1e-3, 0.1, 0.1, 0.1])
@@ -306,7 +312,9 @@ def fitted(board: Board, model: Model, start: Fit | None = None) -> Fit:
                 break
         values, shifts, poses = unknowns.unpacked(x)
         known = values
-    return Fit(board, model, values, shifts, poses, sigma)
+    kept = len(model.free) + 3 * len(unknowns.chosen)
+    covariance = (np.linalg.inv(unit) / scale / scale[:, None])[:kept, :kept]
+    return Fit(board, model, values, shifts, poses, sigma, (covariance + covariance.T) / 2)
 
 
 def _scale(name: str) -> float:
@@ -314,21 +322,21 @@ def _scale(name: str) -> float:
 
 
 def gain(board: Board, before: Model, after: Model) -> tuple[float, float]:
-    """Return by how much held-out images fit better with a larger model: the sum over images, and its standard error.
+    """Return by how much held-out images are predicted better with a larger model, and its standard error.
 
-    It is half the decrease of the squares in units of the noise that the larger model leaves in that image, as a log
-    score is: with one noise for all, an image four times as noisy as the others would decide alone.
+    It is the sum over images of the difference of their log scores, with the noise and the weights that the larger
+    model has for each image: with one noise for all, an image four times as noisy as the others would decide alone.
     """
     whole = {model: fitted(board, model) for model in (before, after)}
     differences = []
     for number in range(len(board.images)):
         others, one = board.only(np.delete(np.arange(len(board.images)), number)), board.only(np.array([number]))
-        noise = 1.4826 * float(np.median(np.abs(whole[after].residuals[board.image == number])))
-        squares = []
-        for model in (before, after):
-            fit = fitted(others, model, replace_poses(whole[model], number))
-            squares.append(float(replace(fit, sigma=noise).held_out(one)[0]))
-        differences.append((squares[0] - squares[1]) / 2)
+        left = np.abs(whole[after].residuals[board.image == number]).ravel()
+        noise = 1.4826 * float(np.median(left))
+        weight = np.minimum(1.0, _LOSS * noise / np.maximum(left, 1e-300))
+        fits = (fitted(others, model, replace_poses(whole[model], number)) for model in (before, after))
+        score, larger = (fit.log_score(one, noise, weight) for fit in fits)
+        differences.append(larger - score)
     d = np.array(differences)
     return float(d.sum()), float(d.std(ddof=1) * np.sqrt(len(d)))
 

@@ -9,7 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks import one_board
+from benchmarks.fetched import Images
+from benchmarks.one_board import CAMERAS, IMAGES
 from benchmarks.real.boards import Board
 from metrocli.formats import images
 from metrocli.targets.find import find
@@ -85,11 +86,19 @@ BOARDS = (
     BoardSet("sony-chess", "sony-chess/points", 0.1),
     BoardSet("sony-circles", "sony-circles/image0000[02345].jpg", 0.1, Pattern("circles", 8, 10, 25.0, diameter=15.0)),
 )
-FETCHED = tuple(
-    BoardSet(camera, f"{camera}_*.jpg", 0.05, Pattern("chessboard", 7, 4, 60.0), (1088, 1920), one_board.HERE)
-    for camera in one_board.CAMERAS
+ENDOSCOPE = Images(
+    "endocal",
+    "endocal-18.2.13-py2.py3-none-any.whl",
+    "5dacf1bc3340f5295e74dc01b57fb5d79cce15f6d77e8d3b119f1255eef97482",
+    "endocal/data/sample_001",
 )
-"""Four cameras that see one board, from the package index: no number of the program was set on them"""
+BOARD = Pattern("chessboard", 7, 4, 60.0)
+CIRCLES = Pattern("asymmetric-circles", 3, 11, 1.0, diameter=0.86, polarity="dark")
+FETCHED = {
+    IMAGES: [BoardSet(one, f"{one}_*.jpg", 0.05, BOARD, (1088, 1920), IMAGES.folder) for one in CAMERAS],
+    ENDOSCOPE: [BoardSet("endoscope", "frame_*.jpg", 0.12, CIRCLES, (768, 710), ENDOSCOPE.folder)],
+}
+"""Four cameras that see one board, and an endoscope (Endocal 18.2.13, BSD 3-Clause): no number was set on them"""
 DRIVES = ("plaza1", "plaza2")
 
 

@@ -88,20 +88,27 @@ def sizes(job: AdjustedJob, name: IdentifiedEffect) -> tuple[EffectSize, ...]:
 
 def extended_fit(job: AdjustedJob, names: Sequence[IdentifiedEffect], kept: Mapping[str, Mask]) -> AdjustedJob | None:
     """Return the job with the named effects in its model, adjusted to the kept readings; None if that fails."""
+    return extended_fit_and_cost(job, names, kept)[0]
+
+
+def extended_fit_and_cost(
+    job: AdjustedJob, names: Sequence[IdentifiedEffect], kept: Mapping[str, Mask]
+) -> tuple[AdjustedJob | None, float]:
+    """Return what `extended_fit` does, and the sum of squares that it leaves, infinite if it fails."""
     return _refitted(job, extended_model(job, names), kept)
 
 
-def _refitted(job: AdjustedJob, model: Model, kept: Mapping[str, Mask]) -> AdjustedJob | None:
+def _refitted(job: AdjustedJob, model: Model, kept: Mapping[str, Mask]) -> tuple[AdjustedJob | None, float]:
     solution = job.refit(model, kept)
     if not solution.outcome.good:
-        return None
+        return None, float("inf")
     blocks = {name: block.with_values(solution.blocks[name].values) for name, block in model.blocks.items()}
-    return replace(job, model=model.with_blocks(blocks))
+    return replace(job, model=model.with_blocks(blocks)), solution.cost
 
 
 def with_random_effect(job: AdjustedJob, effect: Effect, std: float, kept: Mapping[str, Mask]) -> AdjustedJob | None:
     """Return the job with an effect at all its places in its model, adjusted to the kept readings; None if it fails."""
-    return _refitted(job, with_effect_everywhere(job.model, effect, std), kept)
+    return _refitted(job, with_effect_everywhere(job.model, effect, std), kept)[0]
 
 
 def result_change(job: AdjustedJob, other: AdjustedJob) -> float:
@@ -133,7 +140,7 @@ def result_changes(
 def _without_names(job: AdjustedJob, kept: Mapping[str, Mask]) -> AdjustedJob | None:
     """Return the job adjusted to the kept readings: it is, unless it has others too or is a part of a larger one."""
     own = job.part is None and all(mask.all() for mask in kept.values())
-    return job if own else _refitted(job, job.model, kept)
+    return job if own else _refitted(job, job.model, kept)[0]
 
 
 def relinearised(job: AdjustedJob, names: Sequence[IdentifiedEffect], adjusted: AdjustedJob) -> AdjustedJob:

@@ -6,6 +6,7 @@ Method: docs/algorithms/evidence.md.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import islice
 from math import log
 
 from metrocli.adjust.clusters.robust import STRUCTURED
@@ -20,13 +21,15 @@ from metrocli.diagnosis.evidence.refined import refined
 from metrocli.diagnosis.evidence.search import forward, pruned, swapped
 from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.evidence.weights import with_noise
-from metrocli.diagnosis.extended_fit import extended_fit, readings_kept, relinearised, with_group_noise
+from metrocli.diagnosis.extended_fit import extended_fit_and_cost, readings_kept, relinearised, with_group_noise
 from metrocli.errors import UndeterminedError
 from metrocli.frozen import dataclass
 
 _ROUNDS = 4
 _DOMINANT, _MANY = 4.0, 50
 """Effects are dominant if they lower the mean square by this factor, with at least so many degrees of freedom"""
+_RIVAL, _RIVALS = 0.2, 3
+"""Share of the net gain of a term of a lens from which others are tried in its place, and how many"""
 _MOST_OF_IT = 0.01
 """Share of all that was gained by which a move must raise the score in a quick search"""
 
@@ -134,11 +137,61 @@ def _chosen_anew(state: State) -> State:
     return state
 
 
-def _adjusted_with(
-    job: AdjustedJob, m: Measurement, names: Sequence[IdentifiedEffect], gross: Gross
-) -> AdjustedJob | None:
-    noisier = with_group_noise(job, m, gross.noise)
-    return extended_fit(noisier, names, readings_kept(m, gross.readings.values()))
+@dataclass(frozen=True)
+class _Fit:
+    """A job adjusted with the effects of a state."""
+
+    state: State
+    names: Sequence[IdentifiedEffect]
+    job: AdjustedJob | None
+    """None if it cannot be adjusted"""
+    score: float
+    """Of the adjustment, less the prices of the effects"""
+
+    @classmethod
+    def of(cls, job: AdjustedJob, state: State, found: Gross | None, known: Gross) -> _Fit:
+        """Adjust a job; what was `found` to be gross in this round leaves only effects that it is adjusted with."""
+        m = state.measurement
+        # effects that are found beside a gross reading, and not adjusted yet, are perhaps its higher-order terms
+        named = all_identified(state, with_rivals=False)
+        names = [name for name in named if found is None or name.alternative.spot in m.job.adjusted]
+        noisier = with_group_noise(job, m, known.noise)
+        fit, cost = extended_fit_and_cost(noisier, names, readings_kept(m, known.readings.values()))
+        price = sum(part.price for part in state.named)
+        return cls(state, names, fit, -cost / (2 * max(state.variance, 1e-300)) - price)
+
+    def relinearised(self, job: AdjustedJob) -> AdjustedJob:
+        """Return the job with its unknowns at the values of the adjustment."""
+        return job if self.job is None else relinearised(job, self.names, self.job)
+
+
+def _fits(job: AdjustedJob, state: State, found: Gross | None, known: Gross) -> list[_Fit]:
+    """Return a job adjusted with the effects of a state, and with another term of a lens in a place of one that is new.
+
+    That is the term with which the adjustment leaves least, if it leaves less than the first. The terms of the job bend
+    to take the place of one that is missing: to first order about their solution another may explain more than it.
+    """
+    best = first = _Fit.of(job, state, found, known)
+    for part in _old_and_new(state)[1] if found is None else ():
+        if state.measurement.alternative(part.key).effect.link is None:
+            less = state.minus([part])
+            others = (_Fit.of(job, less.plus([rival]), found, known) for rival in _terms_instead(less, part))
+            best = max([best, *others], key=lambda fit: fit.score)
+    return [first] if best is first else [first, best]
+
+
+def _terms_instead(less: State, part: Fixed) -> list[Fixed]:
+    """Return the terms of a lens that explain much of what one of them does, the best first."""
+    # without random effects: a smooth shift over the image would take what the terms differ in
+    m, found = less.measurement, list[tuple[float, int, int]]()
+    alone = State.of(m, less.named)
+    for family in range(len(m.families)):
+        gain, price, _ = alone.gains_of_family(family)
+        found += [(float(net), family, at) for at, net in enumerate(gain - price)]
+    own = next(net for net, family, at in found if (family, at) == part.key)
+    terms = ((family, at) for net, family, at in sorted(found, reverse=True) if net > _RIVAL * own > 0)
+    others = (key for key in terms if m.alternative(key).effect.link is None and key != part.key)
+    return [m.effect(*key) for key in islice(others, _RIVALS)]
 
 
 def searched(job: AdjustedJob, quick: bool = False) -> tuple[State, State]:
@@ -170,22 +223,22 @@ def searched(job: AdjustedJob, quick: bool = False) -> tuple[State, State]:
         gross = None if known is None else known.beside(state)
         if not left or (gross is None and not is_dominated(state)):
             break
-        # effects that are found beside a gross reading, and not adjusted yet, are perhaps its higher-order terms
-        named = all_identified(state, with_rivals=False)
-        names = [name for name in named if gross is None or name.alternative.spot in m.job.adjusted]
         known = gross or known
-        fit = _adjusted_with(job, m, names, known or Gross({}, {}))
-        if fit is None and known is not None and (known.readings or known.noise):
+        fits = [fit for fit in _fits(job, state, gross, known or Gross({}, {})) if fit.job is not None]
+        if not fits and known is not None and (known.readings or known.noise):
             # too few readings are left of something: from now on all of them take part
             known, begin = None, state
             continue
-        if fit is None:
+        if not fits:
             # the job cannot be adjusted with them: then the search goes on beside their first order
             state = forward(state, least=least, since=since)
             break
-        m = measurement_of(relinearised(job, names, fit), None, m, alone)
+        begun = [_continued(fit.state, measurement_of(fit.relinearised(job), None, m, alone)) for fit in fits]
+        # the adjustments do not know correlated errors and random effects, the states do
+        state, continued = max(zip((fit.state for fit in fits), begun, strict=True), key=lambda both: both[1].score)
+        m = continued.measurement
         # what the search found before an effect overwhelmed all else was perhaps its higher-order terms
         begin = State.of(m)
         since = begin.score
-        begin = begin if gross or is_overwhelmed(state) else _continued(state, m)
+        begin = begin if gross or is_overwhelmed(state) else continued
     return first, pruned(refined(state if quick else swapped(state)))

@@ -76,19 +76,40 @@ def folds(unit: Index) -> Mapping[str, Index]:
     return {IMAGES: np.asarray(rank * min(FOLDS, len(units)) // len(units))}
 
 
-def refit(datum: Datum | None) -> Callable[[Model, Mapping[str, Mask]], Solution]:
+def refit(
+    datum: Datum | None, start: Mapping[str, Block] | None = None
+) -> Callable[[Model, Mapping[str, Mask]], Solution]:
     """Return a function that adjusts a model to the readings kept.
 
-    Poses of images without a reading or a prior are held fixed.
+    Poses of images without a reading or a prior are held fixed. A model with more terms of a lens is adjusted from the
+    start of the job, too: where other terms have bent to take their place, steps from there end beside the solution.
     """
 
     def adjusted(model: Model, keep: Mapping[str, Mask]) -> Solution:
         groups = model.kept(keep).groups
         indices = [group.observations.index for group in groups]
-        blocks = [_without_the_unread(block, indices) for block in model.blocks.values()]
-        return adjust(blocks, groups, datum, StoppingRule())
+
+        def from_values(blocks: Mapping[str, Block]) -> Solution:
+            return adjust(
+                [_without_the_unread(block, indices) for block in blocks.values()], groups, datum, StoppingRule()
+            )
+
+        near = from_values(model.blocks)
+        if start is None or not any(extra.effect.link is None for extra in model.added):
+            return near
+        first = {name: _begun(block, start.get(name)) for name, block in model.blocks.items()}
+        far = from_values(first)
+        return min((near, far), key=lambda found: (not found.outcome.good, found.cost))
 
     return adjusted
+
+
+def _begun(block: Block, start: Block | None) -> Block:
+    """Return a block at the values of a start, with its further columns at zero."""
+    if start is None or start.members != block.members:
+        return block
+    more = block.values.shape[1] - start.values.shape[1]
+    return block.with_values(np.pad(start.values, ((0, 0), (0, more))))
 
 
 def _without_the_unread(block: Block, indices: Sequence[Mapping[str, Index]]) -> Block:
