@@ -371,6 +371,18 @@ def test_reasons_where_gum_does_not_hold(tmp_path: Path) -> None:
     assert ran.details("y")["gum_valid"] is True
 
 
+def test_a_verdict_that_few_trials_leave_open_names_how_many_decide(tmp_path: Path) -> None:
+    """Both methods have the same t interval: trials that differ from it do so by chance."""
+    job = {"quantities": {"a": {"value": "1 mm", "std": "84 nm", "dof": 9}}, "measurands": {"y": {"model": "a", "unit": "nm"}}}  # fmt: skip
+    for seed in range(20):
+        few = carry_out(tmp_path, {**job, "monte_carlo": {"trials": 5000, "digits": 1, "seed": seed}}, f"few{seed}")
+        assert math.isnan(few.details("y")["gum_valid"]) and few.result is not None and not few.result.warnings
+        decides = re.search(r"`trials: (\d+)` would do", "\n".join(few.result.notes))
+        assert decides is not None
+    enough = {"trials": int(decides[1]), "digits": 1, "seed": 1}
+    assert carry_out(tmp_path, {**job, "monte_carlo": enough}, "enough").details("y")["gum_valid"] is True
+
+
 def test_readings_and_samples_of_files(tmp_path: Path) -> None:
     values = np.random.default_rng(0).exponential(2.0, 4000) + 10
     (tmp_path / "old.csv").write_text(
