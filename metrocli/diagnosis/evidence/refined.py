@@ -32,18 +32,21 @@ _NEAR, _STARTS = 0.7, 5
 """Values of a scan that explain at least this share of what its best one does are refined too, at most so many"""
 
 
-def refined(state: State, waves: Collection[tuple[int, int]] | None = None) -> State:
+def refined(state: State, entered: Collection[tuple[int, int]] | None = None) -> State:
     """Return the state with the scanned parameters of its effects at their best values beside all else.
 
-    Of the effects `waves` that have just entered those whose values between the tried ones differ: what a coarse value
-    leaves would look like something else. The price of an effect stays that of the scan, which counts the values tried.
+    Of the effects `entered` just now those whose values between the tried ones differ: what a coarse value leaves would
+    look like something else, as the readings between a step and its coarse time look wrong. The price of an effect
+    stays that of the scan, which counts the values tried.
     """
     for _ in range(_ROUNDS):
         before = state
         for number in range(len(state.fixed)):
             one = state.fixed[number]
             effect = None if one.is_reading else state.measurement.alternative(one.key).effect
-            if effect is None or (waves is not None and (one.key not in waves or not is_filled(effect))):
+            if effect is None or (entered is not None and one.key not in entered):
+                continue
+            if entered is not None and not (effect.is_step or is_filled(effect)):
                 continue
             for parameter in effect.scanned:
                 if parameter.grid is not None:

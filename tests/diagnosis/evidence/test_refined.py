@@ -4,13 +4,15 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
 
-from benchmarks.hidden import lengths, machine
+from benchmarks.hidden import grids, lengths, machine
 from metrocli.diagnosis.evidence.measured_job import measurement_of
 from metrocli.diagnosis.evidence.refined import _Scan, refined
 from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.evidence.weights import with_noise
 from metrocli.diagnosis.linear.candidates import Candidate
+from metrocli.diagnosis.rounds import searched
 from metrocli.tasks.adjust_network.effects import EFFECTS
 from tests.diagnosis.evidence.test_dense import number_of_effect, with_residual
 
@@ -56,3 +58,16 @@ def test_other_values_that_fit_alike_stay_beside_other_noise() -> None:
     alias = ("at", 3.0, 0.5)
     state = State.of(m, [replace(m.effect(0, 0), aliases=(alias,)), m.reading(3)])
     assert [part.aliases for part in state.at(with_noise(m, {0: 2.0})).fixed] == [(alias,), ()]
+
+
+@pytest.mark.parametrize("quick", [True, False])
+def test_readings_beside_a_large_step_are_not_called_wrong(quick: bool) -> None:
+    """A scan tries each fourth time: the readings between the step and the time tried are no wrong ones."""
+    m = grids.measurement(np.random.default_rng(21), "1234")
+    before, at = np.sort(m.t[m.views.view == 1])[40:42].tolist()
+    step = {"view": 1, "at": at, "dx": 0.21, "dy": -0.1, "dz": 0.06}
+    m = replace(m, readings=m.readings + grids.change(m, "reseated-artefact", step))
+    _, state = searched(m.adjusted(), quick)
+    (named,) = (state.measurement.alternative(part.key) for part in state.named)
+    assert named.spot == ("reseated-artefact", ("2",)) and not state.readings
+    assert before < dict(named.scanned)["at"] < at
