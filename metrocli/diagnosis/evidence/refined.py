@@ -29,8 +29,10 @@ _ROUNDS = 2
 _APART = 0.02
 """How far off another value of a scan is that explains the readings as well, relatively"""
 _NEAR, _STARTS, STARTS = 0.7, 5, 30
-"""Values of a scan that explain at least this share of what its best one does are refined too, at most so many as an
-effect enters, and in the end: readings that are spaced evenly have tens of periods that fit alike"""
+"""Values of a scan that explain at least this share of what its best one does are refined too
+
+At most so many as an effect enters, and in the end: of evenly spaced readings tens of periods fit alike.
+"""
 
 
 def refined(state: State, entered: Collection[tuple[int, int]] | None = None) -> State:
