@@ -392,7 +392,8 @@ def test_zeros_beside_the_displacement_are_to_be_left_empty(machine: sim.Machine
     with pytest.raises(InputError) as refused:
         calibrate_machine.run(calibrate_machine.TASK.job(job(), lines=table))
     assert [fault.hint for fault in refused.value.faults] == [
-        f"leave '{channel}' empty there" for channel in ("ex", "ey", "ez", "ea", "eb", "ec")
+        *(f"leave '{channel}' empty there" for channel in ("ex", "ey", "ez")),
+        *3 * ["leave the column out"],
     ]
     for channel in ("ex", "ey", "ez", "ea", "eb", "ec"):
         empty = np.where(axis == channel[1], table.numbers(channel), np.nan)

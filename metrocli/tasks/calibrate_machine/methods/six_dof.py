@@ -160,7 +160,8 @@ def unmeasured(table: Table) -> Iterator[Fault]:
         heading = table.headings.get(name, name)
         text = f"the column '{heading}' is 0 in all rows of lines along {listed(along)}: it was not measured"
         hint = "six-dof needs all six channels, or the displacement alone: ex along x, ey along y, ez along z"
-        yield table.fault(text, f"leave '{heading}' empty there" if alone else hint)
+        out = "leave the column out" if len(along) == len(set(axes.tolist())) else f"leave '{heading}' empty there"
+        yield table.fault(text, out if alone else hint)
 
 
 def _channels_wanted(angular: bool, missing: list[str]) -> str:
