@@ -5,7 +5,8 @@ Method: docs/algorithms/evidence.md.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -68,6 +69,8 @@ class DetectableCandidate:
     """Share of what the unknowns leave of it that random parts and other effects leave, too"""
     required: bool = False
     """Whether its evidence would name it, which held-out readings did not confirm"""
+    by_law: bool = False
+    """Whether a law that was found stands for it"""
 
     @property
     def absorbers(self) -> str:
@@ -133,10 +136,14 @@ class Detectability:
     """Covariates of the correlated errors beside which all this holds"""
 
 
-def design(state: State, noise: float = 1.0) -> Detectability:
-    """Return what a measurement can detect beside a state, for a noise in units of the declared one."""
+def design(state: State, noise: float = 1.0, by_law: Collection[tuple[str, tuple[str, ...]]] = ()) -> Detectability:
+    """Return what a measurement can detect beside a state, for a noise in units of the declared one.
+
+    `by_law` are cause and place of the effects for which a law of the state stands.
+    """
     job = state.measurement.job
-    candidates = tuple(_candidate(state, *spot, noise) for spot in _spots(state))
+    every = (_candidate(state, *spot, noise) for spot in _spots(state))
+    candidates = tuple(replace(one, by_law=one.alternative.spot in by_law) for one in every)
     readings = tuple(_wrong_reading(state, e, noise) for e in job.effects if e.of_one_reading)
     pairs, scatters = tuple(pairs_of(state, candidates, noise)), scatter_candidates(state, noise)
     number = (part.key[0] for part in state.random if part.kind == CORRELATED)

@@ -27,7 +27,7 @@ from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.explanations import correlated_errors, noise_instead, random_effects, smooth, with_confirmed
 from metrocli.diagnosis.extended_fit import extended_fit, readings_kept, result_changes, sizes
 from metrocli.diagnosis.findings import UNREACHED, Diagnosis, Finding, RemainingStructure, Unconfirmed
-from metrocli.diagnosis.laws.search import Law, with_laws
+from metrocli.diagnosis.laws.search import Law, stood_for, with_laws
 from metrocli.diagnosis.linear.memory import as_fits
 from metrocli.diagnosis.linear.projection import Linearised
 from metrocli.diagnosis.linear.signatures import signature
@@ -103,7 +103,7 @@ def diagnose(
         left=_left(state, correlated, laws, whole or gained[-1] if names else whole, unconfirmed),
         before=strongest(first),
         after=strongest(state),
-        design=Detectability((), (), ()) if quick else design(state, noise.ratio),
+        design=Detectability((), (), ()) if quick else design(state, noise.ratio, stood_for(laws)),
         separate_by=_separate(state.measurement.job, names),
         adjusts=fit is not None or not names,
         together=gained[-1] if len(names) > 1 else None,

@@ -30,11 +30,13 @@ class Status(StrEnum):
     NOT_TESTED = "not-tested"
     """A column is missing"""
     NOT_DECIDED = "not-decided"
-    """The search ended before it was compared with all else, or held-out readings contradict its evidence"""
+    """The search ended before it was compared with all else, held-out readings contradict its evidence, or a law
+    stands for it"""
 
 
 UNCHECKED = "no reading is checked by the others"
 ENDED = "the search ended before this was decided"
+BY_LAW = "the law that was found stands for it"
 UNCONFIRMED = "its evidence would name it, but held-out readings do not confirm it or what stands for it"
 _SMALLEST = 0.01
 """Smallest number to which a usual size with a unit of its own is converted"""
@@ -50,7 +52,7 @@ def status(candidate: DetectableCandidate, named: Iterable[IdentifiedEffect], de
         return Status.NAMED
     if not candidate.testable:
         return Status.NOT_TESTABLE
-    if not decided or candidate.required:
+    if not decided or candidate.required or candidate.by_law:
         return Status.NOT_DECIDED
     seen = excluded_above(candidate) <= candidate.plausible and not candidate.missed and not is_swallowed(candidate)
     return Status.EXCLUDED if seen else Status.CANNOT_SEE
@@ -119,9 +121,9 @@ def reason(candidate: DetectableCandidate, word: str, structure: Sequence[str] =
     parameter = effect.parameters[0]
     plausible, at = parameter.readable(candidate.plausible)
     if word == Status.NOT_TESTABLE:
-        return f"absorbed by {candidate.absorbers}; `undetected` is for {plausible:.3g} {at}".rstrip()
+        return f"absorbed by {candidate.absorbers}; what it hides is for {plausible:.3g} {at}".rstrip()
     if word == Status.NOT_DECIDED:
-        return UNCONFIRMED if candidate.required else ENDED
+        return UNCONFIRMED if candidate.required else BY_LAW if candidate.by_law else ENDED
     size, unit = parameter.readable(excluded_above(candidate))
     if word == Status.CANNOT_SEE and is_swallowed(candidate):
         what = f"structure in {' and '.join(structure)}" if structure else "what was found"
@@ -130,7 +132,7 @@ def reason(candidate: DetectableCandidate, word: str, structure: Sequence[str] =
         name = effect.scanned[0].name
         return f"missed between values of {name}, which are further apart than the readings tell: scan a smaller range"
     if word == Status.CANNOT_SEE:
-        hides = f"`undetected` is for {parameter.sized(candidate.assumed)}"
+        hides = f"what it hides is for {parameter.sized(candidate.assumed)}"
         return f"detected from {f'{size:.3g} {unit}'.strip()} on; {seen_in_words(candidate)}; {hides}"
     return "" if word == Status.NAMED else f"excluded above {f'{size:.3g} {unit}'.strip()}; {seen_in_words(candidate)}"
 

@@ -119,6 +119,8 @@ class Effect:
     """Its block has one column for each parameter, then one for each scanned parameter"""
     columns_of: str = ""
     """Block of the model whose columns, named as the parameters, are set free"""
+    beside: tuple[str, ...] = ()
+    """Columns of that block without which they change nothing"""
     where: tuple[str, ...] = ()
     """Kinds of place that define where it acts: tracer, image, axis, ..."""
     by: str = ""
@@ -162,7 +164,7 @@ class Effect:
     definition: str = ""
     """For a user-defined effect: its definition, one line of YAML"""
     lacks: str = ""
-    """For a user-defined effect: what the data lack to test it, such as "needs a column load"; empty if nothing"""
+    """Why it may not act: what the data of a user-defined effect lack, such as "needs a column load"; else empty"""
 
     @property
     def keys(self) -> tuple[str, ...]:
@@ -176,7 +178,9 @@ class Effect:
 
     @property
     def remedy(self) -> str:
-        """What to do, for messages, where readings lack a column that it needs."""
+        """What to do, for messages, where readings lack a column that it needs, or the model one."""
+        if self.beside:
+            return "leave it out"
         simulated = "; a simulation that chooses its own readings, not those of a file, has no further columns"
         return f"measure it with each reading{simulated if self.definition else ''}"
 

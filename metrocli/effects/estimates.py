@@ -67,6 +67,15 @@ def absorbed(added: Sequence[Added], solution: Solution, datum: Datum | None) ->
     )
 
 
+def absorbed_in_words(added: Sequence[Added], solution: Solution, datum: Datum | None = None) -> list[str]:
+    """Return the lines of a message on the effects that make a model undetermined; an empty list if none does."""
+    lines = []
+    for addition in absorbed(added, solution, datum):
+        lines.append(f"  why: the other unknowns of this job absorb {addition.label}: leave it out")
+        lines += [f"  what would determine it: {addition.effect.reveal}"] if addition.effect.reveal else []
+    return lines
+
+
 def true_values(model: Model) -> dict[str, float]:
     """Return the true parameters of all effects in a simulated model, by the names of their estimates."""
     return {

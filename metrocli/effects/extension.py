@@ -113,9 +113,9 @@ def lacking(model: Model, effect: Effect, where: Mapping[str, str]) -> str:
     return effect.lacks or (f"needs {needed_in_words(missing)}" if missing else _UNTOUCHED)
 
 
-def _reaches(group: Group, effect: Effect, where: Mapping[str, str]) -> bool:
+def _reaches(model: Model, group: Group, effect: Effect, where: Mapping[str, str]) -> bool:
     if effect.link is None:
-        return effect.columns_of in group.chain.blocks
+        return (of := effect.columns_of) in group.chain.blocks and {*effect.beside} <= {*model.blocks[of].columns}
     link = effect.link("", where)
     return group.chain.takes(link) and set(link.blocks) <= {"", *group.chain.blocks}
 
@@ -250,7 +250,7 @@ def _block(
 def _passes(model: Model, group: Group, effect: Effect, where: Mapping[str, str]) -> bool:
     """Return whether readings have what an effect needs, pass through its link, and may concern its places."""
     has = group.name in model.measured and _has(group, effect.needed(where))
-    return has and _concerns(model, group, effect) and _reaches(group, effect, where)
+    return has and _concerns(model, group, effect) and _reaches(model, group, effect, where)
 
 
 def _concerns(model: Model, group: Group, effect: Effect) -> bool:

@@ -13,6 +13,7 @@ from metrocli.arrays import Array
 from metrocli.expressions.derivatives import Jets, NoValueError
 from metrocli.expressions.expression import Expression
 from metrocli.frozen import dataclass
+from metrocli.uncertainty.correlated import factor
 from metrocli.uncertainty.inputs import Inputs
 from metrocli.uncertainty.numbers import evaluate
 
@@ -81,6 +82,9 @@ _ROUNDING = 1e-14
 """Contributions below this share of the value are rounding errors of derivatives that cancel"""
 
 
+_HIGHER = "no first-order sensitivity: U = 0 lacks what higher orders change, Monte Carlo has it"
+
+
 def _attempt(model: Expression, inputs: Inputs) -> LinearPropagation:
     try:
         with np.errstate(over="ignore", invalid="ignore"):
@@ -120,9 +124,10 @@ def _linear(model: Expression, inputs: Inputs) -> LinearPropagation:
             more, turned = 0.0, np.zeros_like(turned)
     dof, notes = effective_dof(inputs, slopes)
     if used and variance == 0 and more == 0 and covariance[used, used].any():
-        notes = (*notes, "depends on no input: what the inputs change cancels, up to rounding")
+        acts = _acts(model, inputs, used, gradient)
+        notes = (*notes, _HIGHER if acts else "depends on no input: what the inputs change cancels, up to rounding")
     if variance == 0 and more > 0:
-        notes = (*notes, "no first-order sensitivity: U = 0 lacks what the second order changes, Monte Carlo has it")
+        notes = (*notes, _HIGHER)
     # if the second-order terms make the variance negative, the expansion is not valid
     second = math.sqrt(variance + more) if 0 <= variance + more < math.inf else math.nan
     return LinearPropagation(
@@ -137,6 +142,19 @@ def _linear(model: Expression, inputs: Inputs) -> LinearPropagation:
         used=tuple(used),
         notes=notes,
     )
+
+
+def _acts(model: Expression, inputs: Inputs, used: Sequence[int], gradient: Array) -> bool:
+    """Return whether the model changes with its inputs beyond rounding, as z**3 at 0 does, which has no slope."""
+    best = np.array([inputs.quantities[i].value for i in used])
+    root = factor(inputs.covariance[np.ix_(used, used)])
+    # within their standard uncertainties, in directions of no symmetry
+    points = best[:, None] + root @ np.random.default_rng(0).uniform(-1.0, 1.0, (root.shape[1], 9))
+    values = inputs.values | {inputs.names[i]: row for i, row in zip(used, points, strict=True)}
+    value = float(evaluate(model, inputs.values))
+    # terms that cancel leave the rounding of their own size
+    size = max(abs(value), float(np.abs(gradient) @ np.abs(best)))
+    return bool((np.abs(evaluate(model, values) - value) > _ROUNDING * size).any())
 
 
 def effective_dof(inputs: Inputs, slopes: Array) -> tuple[float, tuple[str, ...]]:

@@ -47,4 +47,4 @@ def test_beside_what_cannot_be_seen_stands_the_size_for_which_it_falsifies_the_r
     assert unseen and all(one.assumed >= one.plausible for one in unseen)
     lines = [line for line in candidate_lines(job, design, ()) if "cannot-see" in line]
     assert lines and all("off by this if its size is" in line for line in lines)
-    assert all("`undetected` is for" in reason(one, Status.CANNOT_SEE) for one in unseen)
+    assert all("what it hides is for" in reason(one, Status.CANNOT_SEE) for one in unseen)

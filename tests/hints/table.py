@@ -161,8 +161,8 @@ FILES = [
 LENGTHS_OF_TRACERS = [
     Row("they fit with the other sign: lengths grow with the distance", "laboratory-effects", HALL,
         {LENGTHS: times(-1, "length_mm", only="LT1")}, {LENGTHS: reordered("length_mm", "LT1", sorted)}, "do not belong to these points"),
-    Row("they fit if they are multiplied by {} ({}): check the units of both files", "laboratory-effects", HALL,
-        {LENGTHS: times(1e-3, "length_mm", only="LT1")}, {LENGTHS: reordered("length_mm", "LT1", sorted)}, "do not belong to these points", "1000 (mm written as um)"),
+    Row("they fit if they are multiplied by {}, as {} are: check the units of both files", "laboratory-effects", HALL,
+        {LENGTHS: times(1e-3, "length_mm", only="LT1")}, {LENGTHS: reordered("length_mm", "LT1", sorted)}, "do not belong to these points", "1000, as numbers in m under a heading in mm are"),
     Row("they fit in the reverse order of its rows", "laboratory-effects", HALL,
         {LENGTHS: reordered("length_mm", "LT1", lambda old: old[::-1])}, {LENGTHS: reordered("length_mm", "LT1", sorted)}, "do not belong to these points"),
     Row("they fit if they are moved {} by one of its rows", "laboratory-effects", HALL,

@@ -50,7 +50,7 @@ def test_it_is_diagnosed(case: Case, metrocli: Metrocli) -> None:
 def test_some_of_six_channels_are_refused(case: Case, metrocli: Metrocli) -> None:
     folder = case("12-iso230-displacement-only")
     lines = (folder / "lines.csv").read_text().splitlines()
-    rows = [line if line.startswith("#") else f"{line},{'ey_um' if 'line' in line else '0'}" for line in lines]
+    rows = [line if line.startswith("#") else f"{line},{'ey_um' if 'line' in line else '0.3'}" for line in lines]
     (folder / "lines.csv").write_text("\n".join([*rows, ""]))
     ran = metrocli("calibrate-machine", "job.yaml")
     assert ran.code == 3 and "either all six channels" in ran.err and "is it the column" not in ran.err

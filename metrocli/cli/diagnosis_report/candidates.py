@@ -37,12 +37,13 @@ def candidate_lines(
     Without `named` nothing was looked for yet: what residuals would exclude is `detectable`. `scattered` are the
     effects that are named at all places; `decided` is whether the search came to its end.
     """
-    rows: dict[tuple[str, str], list[DetectableCandidate]] = {}
+    rows: dict[tuple[str, str, str], list[DetectableCandidate]] = {}
     for candidate in design.candidates:
         word = str(status.status(candidate, named or (), decided))
         word = "detectable" if named is None and word == status.Status.EXCLUDED else word
-        rows.setdefault((candidate.alternative.effect.form, word), []).append(candidate)
-    lines = [_line(adjusted, design, name, word, candidates) for (name, word), candidates in rows.items()]
+        why = status.reason(candidate, word) if word == status.Status.NOT_DECIDED else ""
+        rows.setdefault((candidate.alternative.effect.form, word, why), []).append(candidate)
+    lines = [_line(adjusted, design, name, word, candidates) for (name, word, _), candidates in rows.items()]
     for scatter in design.scatters:
         word = status.status_of_scatter(scatter, scattered, decided)
         lines.append(_of_scatter(adjusted, scatter, word, named is None))

@@ -15,6 +15,7 @@ from metrocli.cli.diagnosis_report.laws import law_lines
 from metrocli.diagnosis.adjusted_job import REPORTED, AdjustedJob, MemberSubset
 from metrocli.diagnosis.detectability import Detectability
 from metrocli.diagnosis.evidence.gain import Gain
+from metrocli.diagnosis.evidence.refined import STARTS
 from metrocli.diagnosis.extended_fit import EffectSize
 from metrocli.diagnosis.findings import Diagnosis, Finding, RandomEffect
 from metrocli.diagnosis.job_entries import proposed_correlated, proposed_noise
@@ -153,17 +154,14 @@ def _mistake(diagnosis: Diagnosis) -> Iterator[str]:
 
 def _wrong(outliers: tuple[Outlier, ...]) -> Iterator[str]:
     """Yield the table of wrong readings, each with those that are as likely to be the wrong one."""
-    rows = [
-        ("/".join(outlier.keys.values()), f"{outlier.test:.1f} sigma", _others(outlier))
-        for outlier in outliers[: _SHOWN * _DESCRIBED]
-    ]
+    shown = outliers[: _SHOWN * _DESCRIBED]
+    rows = [("/".join(one.keys.values()), f"{one.test:.1f} sigma", _others(one)) for one in shown]
     yield from text_table(("wrong reading", "error", "or instead"), rows)
     if len(outliers) > len(rows):
         yield f"... {len(outliers) - len(rows)} more"
-    if all(outlier.others for outlier in outliers):
-        yield "These readings do not show which one is wrong: measure them again."
-    else:
-        yield "`outliers: remove` leaves wrong readings out; or measure them again."
+    apart = "`outliers: remove` leaves wrong readings out; or measure them again."
+    alike = "These readings do not show which one is wrong: measure them again."
+    yield alike if all(outlier.others for outlier in outliers) else apart
 
 
 def _others(outlier: Outlier) -> str:
@@ -215,9 +213,11 @@ def _about(finding: Finding) -> Iterator[str]:
     if name.forms:
         forms = ", ".join(f"`by: {form.alternative.effect.by}` (odds {form.odds:.2g})" for form in name.forms)
         yield f"  its size is that of `by: {name.alternative.effect.by}`; {forms} fits as well"
-    for key, value, odds in name.aliases:
-        scanned = next(parameter for parameter in name.alternative.effect.scanned if parameter.name == key)
-        yield f"  {key} {value:.6g} {scanned.unit} fits as well (odds {odds:.2g}): the readings are spaced too evenly"
+    for scanned in name.alternative.effect.scanned:
+        if others := sorted(alias[1:] for alias in name.aliases if alias[0] == scanned.name):
+            values = ", ".join(f"{value:.6g}" for value, _ in others) + (", ..." if len(others) >= STARTS - 1 else "")
+            odds = f"(odds from {min(odds for _, odds in others):.2g})"
+            yield f"  {scanned.name} {values} {scanned.unit} fits as well {odds}: the readings are spaced too evenly"
     if name.held:
         yield f"  not determined separately, taken as 0: {', '.join(name.held)}"
         yield f"  to determine them: {name.alternative.effect.reveal}"

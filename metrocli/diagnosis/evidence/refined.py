@@ -28,26 +28,32 @@ _TRIED = 40
 _ROUNDS = 2
 _APART = 0.02
 """How far off another value of a scan is that explains the readings as well, relatively"""
-_NEAR, _STARTS = 0.7, 5
-"""Values of a scan that explain at least this share of what its best one does are refined too, at most so many"""
+_NEAR, _STARTS, STARTS = 0.7, 5, 30
+"""Values of a scan that explain at least this share of what its best one does are refined too
+
+At most so many as an effect enters, and in the end: of evenly spaced readings tens of periods fit alike.
+"""
 
 
-def refined(state: State, waves: Collection[tuple[int, int]] | None = None) -> State:
+def refined(state: State, entered: Collection[tuple[int, int]] | None = None) -> State:
     """Return the state with the scanned parameters of its effects at their best values beside all else.
 
-    Of the effects `waves` that have just entered those whose values between the tried ones differ: what a coarse value
-    leaves would look like something else. The price of an effect stays that of the scan, which counts the values tried.
+    Of the effects `entered` just now those whose values between the tried ones differ: what a coarse value leaves would
+    look like something else, as the readings between a step and its coarse time look wrong. The price of an effect
+    stays that of the scan, which counts the values tried.
     """
     for _ in range(_ROUNDS):
         before = state
         for number in range(len(state.fixed)):
             one = state.fixed[number]
             effect = None if one.is_reading else state.measurement.alternative(one.key).effect
-            if effect is None or (waves is not None and (one.key not in waves or not is_filled(effect))):
+            if effect is None or (entered is not None and one.key not in entered):
+                continue
+            if entered is not None and not (effect.is_step or is_filled(effect)):
                 continue
             for parameter in effect.scanned:
                 if parameter.grid is not None:
-                    state = _closer(state, number, parameter.name)
+                    state = _closer(state, number, parameter.name, STARTS if entered is None else _STARTS)
         if state is before:
             break
     return state
@@ -70,6 +76,8 @@ class _Scan:
     less: State
     one: Fixed
     name: str
+    most: int = STARTS
+    """Number of its values that are refined at most"""
 
     @property
     def family(self) -> CandidateGroup:
@@ -100,10 +108,11 @@ class _Scan:
         return dict(tried.alternative.scanned)[self.name]
 
     def peaks(self) -> list[_Tried]:
-        """Return the best value about each start, between its neighbours in the scan."""
+        """Return the best value about each start, itself or between its neighbours in the scan."""
         found = []
         for start in self._starts():
-            near = [one for value in self._between(start).tolist() if (one := self.at(start, value)) is not None]
+            between = (self.at(start, value) for value in self._between(start).tolist())
+            near = [one for one in (self.tried(start), *between) if one is not None]
             found += [max(near, key=lambda one: one.explained)] if near else []
         return found
 
@@ -119,7 +128,7 @@ class _Scan:
         # -inf at both ends: the first and the last value of a scan can be peaks
         higher = np.concatenate([[-np.inf], gains, [-np.inf]])
         peaks = (gains >= higher[:-2]) & (gains >= higher[2:]) & (gains > _NEAR * gains.max(initial=0.0))
-        ranked = sorted(np.flatnonzero(peaks).tolist(), key=lambda at: -gains[at])[:_STARTS]
+        ranked = sorted(np.flatnonzero(peaks).tolist(), key=lambda at: -gains[at])[: self.most]
         return [self.family.alternatives[alike[at]] for at in ranked]
 
     def _between(self, start: Candidate) -> Array:
@@ -163,14 +172,14 @@ class _Scan:
         return float(gains[0] - gains[1])
 
 
-def _closer(state: State, number: int, name: str) -> State:
+def _closer(state: State, number: int, name: str, most: int) -> State:
     """Return the state with one scanned parameter of an effect at its best value.
 
     The best value need not lie beside the best one of the scan: it lies beside one that is nearly as good.
     """
     one = state.fixed[number]
     less = state.beside(one)
-    scan = _Scan(less, one, name)
+    scan = _Scan(less, one, name, most)
     known = float(less.of_family(one.family)[0][one.number])
     held = _Tried(scan.family.alternatives[one.number], known, one.rank, np.zeros((0, 0)))
     peaks = scan.peaks()

@@ -51,7 +51,7 @@ def _with_all_effects(state: State) -> State:
     single places are not among them: without that error, many would stand for what scatters at all places.
     """
     while found := [move for move in effects(state, shared=True) if move.net > 0 and move.is_cause]:
-        other = without_weak_fixed(found[0].made(state))
+        other = without_weak_fixed(refined(found[0].made(state), [part.key for part in found[0].fixed]))
         if other.score <= state.score + _GAINED:
             break
         state = other

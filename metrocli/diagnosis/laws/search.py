@@ -79,6 +79,8 @@ class Law:
     """None for a constant, which has no variable"""
     near: tuple[tuple[Candidate, float], ...] = ()
     """Effects of the catalogue that change the readings nearly as it does, each with the cosine, the nearest first"""
+    replaced: tuple[Candidate, ...] = ()
+    """Effects that were identified before it was found, and that it replaces"""
     as_likely: tuple[Term, ...] = ()
     """Single terms of other variables, or at other places, that explain the readings as well as its only one.
 
@@ -124,11 +126,20 @@ def with_laws(state: State, plain: State, ordered: Ordered = map) -> LawSearchRe
     if not (chosen.gain.shown or surely) or _is_named(chosen, state):
         return LawSearchResult(state)
     as_likely = _as_likely(start, lawful.terms[0])
+    kept = {part.key for part in base.fixed}
+    replaced = tuple(m.alternative(part.key) for part in state.named if part.key not in kept)
     laws = tuple(
-        replace(law, chosen=law is chosen, as_likely=() if count else as_likely) for count, law in enumerate(simpler)
+        replace(law, chosen=law is chosen, as_likely=() if count else as_likely, replaced=replaced)
+        for count, law in enumerate(simpler)
     )
     terms = [part for _, part in lawful.steps[: len(chosen.terms)]]
     return LawSearchResult(State.of(base.measurement, (*base.fixed, *terms), base.random, base.logs, 0), laws)
+
+
+def stood_for(laws: Sequence[Law]) -> set[tuple[str, tuple[str, ...]]]:
+    """Return cause and place of the effects for which the chosen law stands: the nearest, and those it replaced."""
+    chosen = [law for law in laws if law.chosen]
+    return {effect.spot for law in chosen for effect in (*(near for near, _ in law.near), *law.replaced)}
 
 
 def _as_likely(start: Lawful, chosen: Term) -> tuple[Term, ...]:

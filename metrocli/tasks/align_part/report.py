@@ -10,8 +10,8 @@ import numpy as np
 from metrocli.adjust.adjustment import covariance_at
 from metrocli.adjust.solution import Residuals, Solution
 from metrocli.arrays import Array
+from metrocli.effects.estimates import absorbed_in_words, free_blocks
 from metrocli.effects.estimates import estimates as effect_estimates
-from metrocli.effects.estimates import free_blocks
 from metrocli.effects.estimates import tables as effect_results
 from metrocli.effects.model import Added
 from metrocli.frozen import dataclass
@@ -209,7 +209,9 @@ def explained(problem: AlignmentProblem, solution: Solution) -> str:
     lines = [f"{solution.outcome.value}: {solution.observations} readings, {solution.unknowns} unknowns"]
     lines += [f"  undetermined: {_in_words(str(combination))}" for combination in solution.undetermined[:3]]
     columns = {column for combination in solution.undetermined for _, column, _, _ in combination.parts}
-    if "gamma_s" in columns:
+    if hidden := absorbed_in_words(problem.effects, solution, problem.datum):
+        lines += hidden
+    elif "gamma_s" in columns:
         lines += [
             "  why: the clamping angle and the part's rotation change the images in the same way",
             "  what would determine it: images from several positions of the spindle, far apart across its axis, "

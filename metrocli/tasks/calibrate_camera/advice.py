@@ -12,6 +12,7 @@ from metrocli.adjust.model.groups import Group
 from metrocli.adjust.outcome import Outcome
 from metrocli.adjust.solution import Solution
 from metrocli.arrays import Array, Index, Mask
+from metrocli.effects.estimates import absorbed_in_words
 from metrocli.geometry import poses
 from metrocli.instruments import camera
 from metrocli.instruments.camera_start import plane_frame
@@ -79,6 +80,8 @@ def _advice(problem: CameraProblem, solution: Solution) -> list[str]:
         for block, column, _, _ in combination.parts
         if block == camera.LENS
     }
+    if hidden := absorbed_in_words(problem.effects, solution, problem.datum):
+        return hidden
     if flat := _flat(problem):
         return flat
     radius = _pole(problem, solution)

@@ -169,10 +169,12 @@ EFFECTS: tuple[Effect, ...] = (
         "pixels are not square, or the pixel clock of a frame grabber is off: fx = f (1 + aspect)",
         (Parameter("aspect", "ratio", plausible=0.01),),
         columns_of=_LENS,
+        beside=("f",),
+        lacks="goes with f: fx and fy already determine the ratio",
         confused_with=("stretched-targets", "target-plane-bend", "axis-skew"),
         formula="fx = f (1 + aspect), fy = f",
         note="Below 1e-4 for a digital sensor read out directly, to 1e-2 for analog cameras. No candidate "
-        "where fx and fy are both estimated.",
+        "where the job has fx and fy in place of f.",
         usual="1e-5 to 1e-2",
         reveal="the camera turned by 90 degrees about its viewing axis between images",
         source="Fraser 1997, Digital camera self-calibration (affinity)",

@@ -13,12 +13,13 @@ from metrocli.errors import Fault, InputError
 from metrocli.plan import Plan
 from metrocli.result import Result
 from metrocli.simulation import Simulation, SimulationOptions
+from metrocli.tasks.calibrate_machine.described import raise_if
 from metrocli.tasks.calibrate_machine.diagnosis import adjusted_job, covariates, noise_of
 from metrocli.tasks.calibrate_machine.effects import EFFECTS, PLACES
 from metrocli.tasks.calibrate_machine.files import Files
 from metrocli.tasks.calibrate_machine.methods.on_the_fly import measurement, on_the_fly
 from metrocli.tasks.calibrate_machine.methods.poses import problem_at
-from metrocli.tasks.calibrate_machine.methods.six_dof import six_dof
+from metrocli.tasks.calibrate_machine.methods.six_dof import six_dof, unmeasured
 from metrocli.tasks.calibrate_machine.other_settings import other_settings
 from metrocli.tasks.calibrate_machine.plans.planned import plan_of_path
 from metrocli.tasks.calibrate_machine.plans.poses import plan_of_poses
@@ -67,6 +68,8 @@ def _solved(job: Job[Settings, Files]) -> tuple[AdjustedMachine, float]:
 def problem_of(job: Job[Settings, Files]) -> MachineProblem:
     """Return the adjustment problem of a job; a track (on-the-fly) needs alignment first."""
     if job.files.lines is not None:
+        # here, not in `six_dof`: planned lines have zeros
+        raise_if(unmeasured(job.files.lines))
         return six_dof(job.settings, job.files.lines)
     for table in (job.files.points, job.files.lengths, job.files.probing):
         if table is not None:

@@ -121,10 +121,11 @@ class _Gathering:
             self._must_be_estimate(name, placed)
             return
         held = [getattr(placed.value, key, None) is not None for key in ("readings", "samples")]
+        if any(held) and self.files is None:
+            # the unit is that of a column, which the file may not have
+            return
         if unit := unit_of(placed):
             self.units[name] = unit
-        if any(held) and self.files is None:
-            return
         table = (self.files or {}).get(f"{node.path}.{'readings' if held[0] else 'samples'}")
         if read := quantity(name, placed, table, self.faults):
             self.quantities[name] = read

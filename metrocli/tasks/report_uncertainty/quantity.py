@@ -56,12 +56,10 @@ class Dispersion:
 
 
 def unit_of(placed: LocatedValue) -> Compound | None:
-    """Return the unit of a quantity from its value or the name of its column; None if neither gives one."""
+    """Return the unit of a quantity from its value; None without one."""
     given = placed.value
     if isinstance(given, Measure):
         return given.unit
-    if given.readings or given.samples:
-        return _unit_of_column(given.column) if given.column else None
     best = given.value or given.mean
     return best.unit if best is not None else None
 
@@ -216,13 +214,19 @@ def _from_table(name: str, given: InputEntry, table: Table | None) -> InputQuant
     if len(values) < 2:
         raise _Wrong("readings", "one reading gives no standard deviation", "give two readings or more")
     mean = float(values.mean())
+    alike = np.ptp(values) == 0
+    if alike and not sampled:
+        best = f"{values[0] / unit.factor:.12g}" + ("" if unit.text == "1" else f" {unit.text}")
+        raise _Wrong(
+            "readings",
+            f"all {len(values)} readings are {best}: they scatter less than the instrument resolves",
+            f"give its resolution (JCGM 100, F.2.2.1): {{value: {best}, half_width: half of its step}}",
+        )
     if sampled:
         deviations = tuple((values - mean).tolist())
-        return InputQuantity(
-            name, mean, Sampled(deviations, table.file) if np.ptp(values) > 0 else None, math.inf, unit
-        )
+        return InputQuantity(name, mean, None if alike else Sampled(deviations, table.file), math.inf, unit)
     std = float(values.std(ddof=1)) / math.sqrt(len(values))
-    return InputQuantity(name, mean, Normal(std) if std > 0 else None, float(len(values) - 1), unit)
+    return InputQuantity(name, mean, Normal(std), float(len(values) - 1), unit)
 
 
 def column_of(given: InputEntry, table: Table) -> str:

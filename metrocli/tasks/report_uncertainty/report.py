@@ -30,7 +30,7 @@ from metrocli.uncertainty.propagation import (
     t_std,
     whole_dof,
 )
-from metrocli.uncertainty.validation import Judged, Validation, judge
+from metrocli.uncertainty.validation import Judged, Validation, judge, known_ends
 from metrocli.units import rounded
 
 _MANY = 1e6
@@ -131,8 +131,8 @@ def _measurand(evaluation: BothMethods, index: int, name: str) -> _Measurand:
     if mc is not None:
         mc["covered"] = _share_within(evaluation, index, interval) if mc["std"] else 1.0
         mc = details["mc"] = {key: item if key in _PURE else _scaled(item, factor) for key, item in mc.items()}
-        verdict = _verdict(evaluation, linear, k, factor, mc)
-    details["gum_valid"] = verdict.valid if verdict is not None else math.nan
+        verdict = _verdict(evaluation, index, k, factor, mc)
+    details["gum_valid"] = math.nan if verdict is None or verdict.valid is None else verdict.valid
     if evaluation.settings.tolerance and name in evaluation.settings.tolerance:
         details["tolerance"] = _decision(evaluation, index, name, std, k * std)
     parts = _budget(evaluation, name, details)
@@ -153,17 +153,26 @@ def _budget(evaluation: BothMethods, name: str, details: dict[str, Any]) -> Meas
     return replace(plain, target=wanted / unit.factor, needed=needed)
 
 
-def _verdict(
-    evaluation: BothMethods, linear: LinearPropagation, k: float, factor: float, mc: dict[str, Any]
-) -> Validation:
+def _verdict(evaluation: BothMethods, index: int, k: float, factor: float, mc: dict[str, Any]) -> Validation:
     """Return the validation of the law of propagation by Monte Carlo (JCGM 101, 8), with u in the measurand's unit."""
+    linear, outcome = list(evaluation.propagated.measurands.values())[index], evaluation.outcome
+    assert outcome is not None
     if linear.replaced:
         return Validation(False, linear.notes)
-    normal = coverage_factor(Coverage(covered(evaluation.coverage, linear.dof)), math.inf)
+    probability = covered(evaluation.coverage, linear.dof)
+    normal = coverage_factor(Coverage(probability), math.inf)
     value, std, second = linear.value / factor, linear.std / factor, linear.second_std / factor
     ends = (mc["interval"][0], mc["interval"][1])
     wider = t_std(evaluation.problem.inputs, linear.sensitivities) / factor
-    judged = Judged(value, std, k * std, linear.nonlinear, second, mc["mean"], mc["std"], ends, normal, wider)
+    centre = outcome.centres[index]
+    low, high = (
+        ((end[0] + centre) / factor, (end[1] + centre) / factor)
+        for end in known_ends(outcome.samples[index], probability, outcome.trials)
+    )
+    judged = Judged(
+        value, std, k * std, linear.nonlinear, second, mc["mean"], mc["std"], ends, (low, high), outcome.trials,
+        normal, wider,
+    )  # fmt: skip
     return judge(judged, evaluation.settings.monte_carlo.digits)
 
 
@@ -234,7 +243,7 @@ def _histograms(evaluation: BothMethods, measurands: Sequence[_Measurand]) -> di
 
 def _warnings(measurand: _Measurand) -> list[str]:
     printed = [f"{measurand.name}: {note}" for note in measurand.linear.notes]
-    if measurand.verdict is not None and not measurand.verdict.valid and not measurand.linear.replaced:
+    if measurand.verdict is not None and measurand.verdict.valid is False and not measurand.linear.replaced:
         printed.append(f"{measurand.name}: Monte Carlo does not validate the interval of GUM; use that of Monte Carlo")
     return printed
 
@@ -279,6 +288,5 @@ def _judgement(measurand: _Measurand) -> list[str]:
         return []
     if verdict.valid:
         return ["  Monte Carlo validates GUM (JCGM 101, clause 8)"]
-    return ["  Monte Carlo does not validate GUM (JCGM 101, clause 8):"] + [
-        f"    {reason}" for reason in verdict.reasons
-    ]
+    does = "does not decide whether GUM holds" if verdict.valid is None else "does not validate GUM"
+    return [f"  Monte Carlo {does} (JCGM 101, clause 8):"] + [f"    {reason}" for reason in verdict.reasons]

@@ -28,7 +28,7 @@ from metrocli.uncertainty.distributions import Normal, Uniform
 from metrocli.uncertainty.inputs import InputQuantity, Inputs, join
 from metrocli.uncertainty.propagation import Coverage, coverage_factor, covered, effective_dof
 from metrocli.uncertainty.trials import plan_of
-from metrocli.uncertainty.validation import Judged, judge
+from metrocli.uncertainty.validation import Judged, judge, known_ends
 from metrocli.uncertainty.volume import AXES, Contribution, Extremes, by_source, extremes
 from metrocli.uncertainty.workers import Workers
 from metrocli.units import two_digits
@@ -146,12 +146,13 @@ def _against_trials(axis: _Axis, mc: monte_carlo.MonteCarloResult, U: float, set
     half = (interval[1] - interval[0]) / 2
     normal = coverage_factor(Coverage(probability), math.inf)
     wider = math.inf if math.isfinite(axis.dof) else axis.std  # the sum is linear
-    judged = Judged(0.0, axis.std, U, 0.0, axis.std, float(mc.means[0]), std, interval, normal, wider)
+    known = known_ends(sample, probability, mc.trials)
+    judged = Judged(0.0, axis.std, U, 0.0, axis.std, float(mc.means[0]), std, interval, known, mc.trials, normal, wider)
     verdict = judge(judged, settings.monte_carlo.digits)
     covers = sample.below(U) - sample.below(-U)
     trials = {"mean": float(mc.means[0]), "std": std, "interval": list(interval), "trials": mc.trials}
     trials |= {"shortest": list(sample.shortest(probability)), "k_trials": half / std if std else math.nan}
-    return {"mc": trials | {"covered": covers}, "gum_valid": verdict.valid}
+    return {"mc": trials | {"covered": covers}, "gum_valid": math.nan if verdict.valid is None else verdict.valid}
 
 
 def _tables(problem: VolumeProblem, largest: Extremes, axes: list[_Axis], settings: Entries) -> dict[str, Table]:

@@ -237,8 +237,8 @@ def _fits(seen: LengthsToTracers, points: Array, lengths: Array) -> bool:
 
 def _read_otherwise(lengths: Array) -> Iterator[tuple[str, Array]]:
     """Yield what may be wrong with the lengths of one tracer, and the lengths without it."""
-    for factor, symbol in _factors():
-        unit = f"they fit if they are multiplied by {factor:g} ({symbol}): check the units of both files"
+    for factor, likely in _factors():
+        unit = f"they fit if they are multiplied by {factor:g}, as {likely} are: check the units of both files"
         sign = "they fit with the other sign: lengths grow with the distance"
         yield sign if factor < 0 else unit, factor * lengths
     yield "they fit in the reverse order of its rows", lengths[::-1]
@@ -247,8 +247,15 @@ def _read_otherwise(lengths: Array) -> Iterator[tuple[str, Array]]:
 
 
 def _factors() -> list[tuple[float, str]]:
-    """Return factors that correct likely mistakes in lengths, each with its cause: a reversed sign, or wrong units."""
+    """Return factors that correct likely mistakes in lengths, each with its cause: a reversed sign, or wrong units.
+
+    Of the units with one ratio those stand for all whose heading is in mm.
+    """
     ones = {unit.symbol: unit.inside(1.0) for unit in units.DIMENSIONS["length"].units if unit.reported}
     ones |= {"cm": 10.0}
-    ratios = {f"{a} written as {b}": ones[a] / ones[b] for a in ones for b in ones if a != b}
-    return [(-1.0, ""), *((ratio, name) for name, ratio in ratios.items())]
+    causes: dict[float, str] = {}
+    for b in sorted(ones, key=lambda unit: unit != "mm"):
+        for a in ones:
+            causes.setdefault(float(f"{ones[a] / ones[b]:.9g}"), f"numbers in {a} under a heading in {b}")
+    causes.pop(1.0)
+    return [(-1.0, ""), *causes.items()]

@@ -2,15 +2,18 @@
 
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
+import pytest
 
-from benchmarks.hidden import lengths, machine
+from benchmarks.hidden import grids, lengths, machine
 from metrocli.diagnosis.evidence.measured_job import measurement_of
 from metrocli.diagnosis.evidence.refined import _Scan, refined
 from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.evidence.weights import with_noise
 from metrocli.diagnosis.linear.candidates import Candidate
+from metrocli.diagnosis.rounds import searched
 from metrocli.tasks.adjust_network.effects import EFFECTS
 from tests.diagnosis.evidence.test_dense import number_of_effect, with_residual
 
@@ -56,3 +59,46 @@ def test_other_values_that_fit_alike_stay_beside_other_noise() -> None:
     alias = ("at", 3.0, 0.5)
     state = State.of(m, [replace(m.effect(0, 0), aliases=(alias,)), m.reading(3)])
     assert [part.aliases for part in state.at(with_noise(m, {0: 2.0})).fixed] == [(alias,), ()]
+
+
+@pytest.mark.parametrize("quick", [True, False])
+def test_readings_beside_a_large_step_are_not_called_wrong(quick: bool) -> None:
+    """A scan tries each fourth time: the readings between the step and the time tried are no wrong ones."""
+    m = grids.measurement(np.random.default_rng(21), "1234")
+    before, at = np.sort(m.t[m.views.view == 1])[40:42].tolist()
+    step = {"view": 1, "at": at, "dx": 0.21, "dy": -0.1, "dz": 0.06}
+    m = replace(m, readings=m.readings + grids.change(m, "reseated-artefact", step))
+    _, state = searched(m.adjusted(), quick)
+    (named,) = (state.measurement.alternative(part.key) for part in state.named)
+    assert named.spot == ("reseated-artefact", ("2",)) and not state.readings
+    assert before < dict(named.scanned)["at"] < at
+
+
+class _Even:
+    """Random numbers; places of the x axis are multiples of 25 mm."""
+
+    def __init__(self, seed: int) -> None:
+        self.rng = np.random.default_rng(seed)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.rng, name)
+
+    def uniform(self, low: Any, high: Any, size: Any = None) -> Any:
+        drawn = self.rng.uniform(low, high, size)
+        if low is machine.LOW:
+            drawn[:, 0] = 25 * np.round(drawn[:, 0] / 25)
+        return drawn
+
+
+def test_all_periods_that_even_places_do_not_distinguish_are_listed() -> None:
+    """A wave of period p is at multiples of 25 mm one of frequency k/25 + 1/p or k/25 - 1/p, for each whole k."""
+    m = machine.measurement(_Even(31))
+    wave = {"amplitude": 0.012, "phase": 0.7, "period": 9.0}
+    m = replace(m, read=m.read + machine.change(m, "screw-pitch-error", {"axis": "x"}, wave))
+    _, state = searched(m.adjusted(), quick=True)
+    (part,) = state.named
+    found = [dict(state.measurement.alternative(part.key).scanned)["period"], *(value for _, value, _ in part.aliases)]
+    frequencies = np.abs(np.arange(-15, 15)[:, None] / 25 + [1 / 9, -1 / 9]).ravel()
+    # well inside the range of the scan, 2 to 50 mm
+    for period in (1 / f for f in np.unique(frequencies.round(12)) if 1 / 40 < f < 1 / 2.2):
+        assert min(abs(one - period) for one in found) < 0.01 * period, period

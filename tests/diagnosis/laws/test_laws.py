@@ -30,6 +30,7 @@ from metrocli.diagnosis.laws.library import Library
 from metrocli.diagnosis.laws.search import near_effects
 from metrocli.diagnosis.laws.terms import TermForm, columns_of, forms_of
 from metrocli.diagnosis.linear.linearised import linearised
+from metrocli.diagnosis.status import status
 from metrocli.diagnosis.verdict import as_data
 from metrocli.effects.acting import measured
 from metrocli.effects.own.columns import with_variables
@@ -113,7 +114,10 @@ def test_what_settles_is_no_jump_although_it_is_much_like_one() -> None:
     assert settled.law is not None and not settled.findings
     (term,) = settled.law.terms
     assert (term.form.kind, term.form.variables, term.spot.where) == ("saturations", ("t",), (("tracer", "T2"),))
-    assert ("dead-path-jump", "T2") in [(effect.effect.name, *effect.instance) for effect, _ in settled.law.near]
+    near = ("dead-path-jump", ("T2",))
+    assert near in [effect.spot for effect, _ in settled.law.near]
+    # what a law stands for is not excluded
+    assert {status(one, ()) for one in settled.design.candidates if one.alternative.spot == near} == {"not-decided"}
 
 
 def test_a_column_of_the_data_keeps_its_name_beside_those_of_a_law(found: Diagnosis) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from simulated import machine as sim
@@ -365,3 +367,36 @@ def test_deviations_at_targets_by_hand() -> None:
     )
     assert found.numbers("s_up") == pytest.approx([0.001 * np.sqrt(2), 0.0]) and np.isnan(found.numbers("s_down")).all()
     assert at_targets(runs[:1]) is None
+
+
+def test_a_channel_of_zeros_was_not_measured(machine: sim.Machine) -> None:
+    """The roll of lines along x, which a laser and a level do not read; a plan of such lines stays possible."""
+    rng = np.random.default_rng(61)
+    table = line_table([line(machine, axis, rng) for axis in (*AXES, *DIAGONALS)])
+    roll = np.where(np.array(table.texts("axis")) == "x", 0.0, table.numbers("ea"))
+    table = replace(table, columns={**table.columns, "ea": roll})
+    with pytest.raises(InputError) as refused:
+        calibrate_machine.run(calibrate_machine.TASK.job(job(), lines=table))
+    (fault,) = refused.value.faults
+    assert "'ea' is 0 in all rows of lines along x:" in fault.message and "all six channels" in fault.hint
+    assert calibrate_machine.plan(calibrate_machine.TASK.job(job(), lines=table)).files["lines.nc"]
+
+
+def test_zeros_beside_the_displacement_are_to_be_left_empty(machine: sim.Machine) -> None:
+    rng = np.random.default_rng(62)
+    table = line_table([line(machine, axis, rng) for axis in AXES])
+    axis = np.array(table.texts("axis"))
+    for channel in ("ex", "ey", "ez", "ea", "eb", "ec"):
+        values = np.where(axis == channel[1], table.numbers(channel), 0.0)
+        table = replace(table, columns={**table.columns, channel: values})
+    with pytest.raises(InputError) as refused:
+        calibrate_machine.run(calibrate_machine.TASK.job(job(), lines=table))
+    assert [fault.hint for fault in refused.value.faults] == [
+        *(f"leave '{channel}' empty there" for channel in ("ex", "ey", "ez")),
+        *3 * ["leave the column out"],
+    ]
+    for channel in ("ex", "ey", "ez", "ea", "eb", "ec"):
+        empty = np.where(axis == channel[1], table.numbers(channel), np.nan)
+        table = replace(table, columns={**table.columns, channel: empty})
+    settings = replace(job(), estimate=("EXX", "EYY", "EZZ"))
+    assert "tables/EXX" in calibrate_machine.run(calibrate_machine.TASK.job(settings, lines=table)).tables

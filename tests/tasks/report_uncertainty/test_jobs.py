@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tasks.report_uncertainty.jobs import carry_out
+from tasks.report_uncertainty.jobs import carry_out, write
 
 from metrocli.formats import hdf5
 
@@ -371,6 +371,54 @@ def test_reasons_where_gum_does_not_hold(tmp_path: Path) -> None:
     assert ran.details("y")["gum_valid"] is True
 
 
+def test_a_verdict_that_few_trials_leave_open_names_how_many_decide(tmp_path: Path) -> None:
+    """Both methods have the same t interval: trials that differ from it do so by chance."""
+    job = {"quantities": {"a": {"value": "1 mm", "std": "84 nm", "dof": 9}}, "measurands": {"y": {"model": "a", "unit": "nm"}}}  # fmt: skip
+    for seed in range(20):
+        few = carry_out(tmp_path, {**job, "monte_carlo": {"trials": 5000, "digits": 1, "seed": seed}}, f"few{seed}")
+        assert math.isnan(few.details("y")["gum_valid"]) and few.result is not None and not few.result.warnings
+        decides = re.search(r"`trials: (\d+)` would do", "\n".join(few.result.notes))
+        assert decides is not None
+    enough = {"trials": int(decides[1]), "digits": 1, "seed": 1}
+    assert carry_out(tmp_path, {**job, "monte_carlo": enough}, "enough").details("y")["gum_valid"] is True
+
+
+def test_what_has_slopes_and_curvature_of_zero_still_depends_on_its_inputs(tmp_path: Path) -> None:
+    job = {
+        "quantities": {name: {"value": 0, "std": 1} for name in "abc"},
+        "measurands": {"cube": {"model": "a**3"}, "product": {"model": "a*b*c"}, "none": {"model": "a - a"}},
+        "monte_carlo": {"trials": 1000},
+    }
+    ran = carry_out(tmp_path, job)
+    assert ran.result is not None
+    notes = {name: text for name, _, text in (line.partition(": ") for line in reversed(ran.result.warnings))}
+    assert "higher orders" in notes["cube"] and "higher orders" in notes["product"]
+    assert "depends on no input" in notes["none"]
+
+
+def test_equal_readings_are_refused_with_the_entry_of_the_resolution(tmp_path: Path, metrocli: Metrocli) -> None:
+    (tmp_path / "l.csv").write_text("l_mm\n" + 6 * "7.302\n")
+    path = write(tmp_path, {"quantities": {"l": {"readings": "l.csv"}}, "measurands": {"y": {"model": "l", "unit": "mm"}}})  # fmt: skip
+    ran = metrocli("report-uncertainty", path)
+    assert ran.code == 3 and "all 6 readings are 7.302 mm" in ran.err
+    given = re.search(r"\{value: 7.302 mm, half_width: half of its step\}", ran.err)
+    assert given is not None
+    written = path.read_text().replace(
+        "l:\n    readings: l.csv", "l: " + given[0].replace("half of its step", "0.5 um")
+    )
+    path.write_text(written)
+    assert metrocli("report-uncertainty", path).code == 0
+
+
+def test_a_column_that_is_missing_is_named_before_its_unit_is_judged(tmp_path: Path, metrocli: Metrocli) -> None:
+    (tmp_path / "l.csv").write_text("l_mm\n7.302\n7.305\n")
+    parts = {"l": {"readings": "l.csv", "column": "length"}, "d": {"value": "1 mm", "std": "1 um"}}
+    path = write(tmp_path, {"quantities": parts, "measurands": {"y": {"model": "l + d", "unit": "mm"}}})
+    for command in ("report-uncertainty", "check"):
+        ran = metrocli(command, path)
+        assert ran.code == 3 and "has no column 'length'" in ran.err and "plain number" not in ran.err
+
+
 def test_readings_and_samples_of_files(tmp_path: Path) -> None:
     values = np.random.default_rng(0).exponential(2.0, 4000) + 10
     (tmp_path / "old.csv").write_text(
@@ -514,4 +562,4 @@ def test_where_slopes_are_zero_the_second_order_stays(
     ran = metrocli("report-uncertainty", tmp_path / "job.yaml", "--json")
     found = json.loads(ran.out)["estimates"]["s"]["second_order"]
     assert (found["value"], found["std"]) == pytest.approx((value, std), abs=1e-15)
-    assert ("U = 0 lacks what the second order changes" in ran.out + ran.err) == (value > 0)
+    assert ("U = 0 lacks what higher orders change" in ran.out + ran.err) == (value > 0)

@@ -10,6 +10,7 @@ import numpy as np
 from metrocli.adjust.clusters.robust import FROM_RESIDUALS, STRUCTURED, must_suffice
 from metrocli.adjust.outcome import Outcome
 from metrocli.diagnosis.adjusted_job import AdjustedJob, Delivered
+from metrocli.effects.estimates import absorbed_in_words
 from metrocli.errors import InputError, UndeterminedError
 from metrocli.imageset import ImageSet
 from metrocli.instruments import camera
@@ -89,10 +90,10 @@ def _solved(settings: Settings, system: CameraSystem) -> AdjustedImages:
     if solution.undetermined or solution.outcome is Outcome.TOO_FEW:
         lines = [f"{solution.outcome.value}: {solution.observations} readings, {solution.unknowns} unknowns"]
         lines += [f"  undetermined: {in_words(str(combination))}" for combination in solution.undetermined[:3]]
-        lines.append(
+        lines += absorbed_in_words(system.effects, solution, system.datum) or [
             "  what would determine it: more exposures of the board by all cameras, tilted by 20 to 45 degrees, near "
             "and far, or fewer parameters in `estimate`"
-        )
+        ]
         raise UndeterminedError("\n".join(lines), solution.misfit)
     must_converge(solution, () if solution.outcome.good else fisheyes(system, settings, solution))
     return adjusted

@@ -145,6 +145,25 @@ def positioning_alone(settings: Settings, lines: MeasuredLines, table: Table) ->
     return found
 
 
+def unmeasured(table: Table) -> Iterator[Fault]:
+    """Yield a fault for each channel that is 0 in all rows of lines along a direction: read ones have noise."""
+    axes = np.array(table.texts("axis"))
+    zero: dict[str, list[str]] = {}
+    for name in (name for name in CHANNELS if name in table):
+        along = [axis for axis in dict.fromkeys(axes.tolist()) if not table.numbers(name)[axes == axis].any()]
+        zero |= {name: along} if along else {}
+    measured = {(name, axis) for name in CHANNELS if name in table for axis in axes.tolist()}
+    left = measured - {(name, axis) for name, along in zero.items() for axis in along}
+    # an instrument of one channel, whose file has columns for six
+    alone = left == {(_own(axis), axis) for axis in axes.tolist()}
+    for name, along in zero.items():
+        heading = table.headings.get(name, name)
+        text = f"the column '{heading}' is 0 in all rows of lines along {listed(along)}: it was not measured"
+        hint = "six-dof needs all six channels, or the displacement alone: ex along x, ey along y, ez along z"
+        out = "leave the column out" if len(along) == len(set(axes.tolist())) else f"leave '{heading}' empty there"
+        yield table.fault(text, out if alone else hint)
+
+
 def _channels_wanted(angular: bool, missing: list[str]) -> str:
     if angular:
         letters = ", ".join(f"{_own(letter)} along {letter}" for letter in "".join(ANGLES).lower())

@@ -187,3 +187,20 @@ def test_pictures_with_effects_are_refused(tmp_path: Path, metrocli: Metrocli) -
     job.write_text(job.read_text() + "pattern: {type: chessboard, columns: 9, rows: 6, pitch: 25 mm}\n")
     ran = metrocli("simulate", job, "--out", tmp_path / "new", "--images", "--effect", "focal-drift:rate=1e-6 1/s")
     assert ran.code == 2 and "not in pictures" in ran.err
+
+
+def test_an_effect_that_the_unknowns_absorb_is_named_with_what_shows_it(tmp_path: Path, metrocli: Metrocli) -> None:
+    """Poses farther away take up the scale of a list: more images would not determine it."""
+    job = calibration(tmp_path, "board", "forward", "{name: scale-of-targets}")
+    simulated(tmp_path, job, metrocli, "--effect", "scale-of-targets:scale=100 ppm")
+    ran = metrocli("calibrate-camera", job, "--set", "inputs.observations=new/observations.csv")
+    assert ran.code == 4 and "absorb scale-of-targets: leave it out" in ran.err
+    assert "a calibrated length among the targets" in ran.err and "more images" not in ran.err
+
+
+def test_an_aspect_beside_two_focal_lengths_is_refused(tmp_path: Path, metrocli: Metrocli) -> None:
+    two = LEFT_OUT.replace("[f,", "[fx, fy,")
+    job = calibration(tmp_path, "board", "forward", "{name: aspect-ratio}", two)
+    ran = metrocli("calibrate-camera", job)
+    assert ran.code == 3 and "aspect-ratio goes with f: fx and fy already determine the ratio" in ran.err
+    assert "leave it out" in ran.err and "measure it" not in ran.err
