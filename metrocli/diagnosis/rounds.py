@@ -28,7 +28,7 @@ from metrocli.frozen import dataclass
 _ROUNDS = 4
 _DOMINANT, _MANY = 4.0, 50
 """Effects are dominant if they lower the mean square by this factor, with at least so many degrees of freedom"""
-_RIVAL, _RIVALS = 0.2, 3
+_RIVAL, _RIVALS = 0.1, 3
 """Share of the net gain of a term of a lens from which others are tried in its place, and how many"""
 _MOST_OF_IT = 0.01
 """Share of all that was gained by which a move must raise the score in a quick search"""

@@ -44,7 +44,7 @@ def adjusted_job(problem: CameraProblem, adjusted: AdjustedImages) -> AdjustedJo
         () if cmm else ("image",),
         folds(index[camera.TARGET if cmm else "view"]),
         _delivered(problem.rig, model),
-        refit(problem.datum, problem.blocks),
+        refit(problem.datum, problem.image_size),
         fewest=2,
         single_components=True,
         sharing=len(np.unique(index["view"])),

@@ -20,8 +20,10 @@ from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.instruments import camera
 from metrocli.instruments.camera import VIEW
+from metrocli.instruments.lenses.distortion import PRISM, TILT
 from metrocli.tasks.calibrate_camera.problem import CameraProblem
 from metrocli.tasks.shared.images.adjustment import IMAGES
+from metrocli.tasks.shared.images.principal_point import POINT, held_in_the_middle
 
 _AGAIN = 3
 """Most starts from poses found anew, if targets or images strayed"""
@@ -43,6 +45,25 @@ def robustly(problem: CameraProblem) -> CameraProblem:
     if problem.rig == "network" and _has_unknown(problem):
         problem = _by_turns(problem)
     return problem.with_blocks({**problem.blocks, **_robust(problem, problem.blocks, problem.datum)})
+
+
+def about_the_middle(problem: CameraProblem) -> CameraProblem:
+    """Return the better of two robust adjustments where a term of the lens shifts images as the principal point does.
+
+    The second starts from a principal point in the middle of the image.
+    """
+    lens = problem.blocks[camera.LENS]
+    free = {name for name, is_free in zip(lens.columns, lens.free[0], strict=True) if is_free}
+    if not free & {*PRISM, *TILT} or not free & {*POINT}:
+        return problem
+    held = held_in_the_middle(
+        problem.blocks, problem.image_size, lambda blocks: _robust(problem, blocks, problem.datum)
+    )
+    both = robustly(problem), robustly(problem.with_blocks(held))
+    distances = [np.abs(one.images.residuals(one.blocks)) for one in both]
+    # beyond three robust standard deviations of the better one all errors count alike
+    most = 3 * 1.4826 * min(float(np.median(one)) for one in distances)
+    return both[int(np.argmin([float((np.minimum(one, most) ** 2).sum()) for one in distances]))]
 
 
 def without_strays(listed: Array, best: CameraProblem, resected: Resection) -> CameraProblem:

@@ -30,6 +30,7 @@ from metrocli.tasks.calibrate_camera.settings import FEWEST, CameraSettings, Fil
 from metrocli.tasks.calibrate_camera.shape.effect import beside_base
 from metrocli.tasks.calibrate_camera.shape.spline import with_shape
 from metrocli.tasks.calibrate_camera.simulation import simulate
+from metrocli.tasks.calibrate_camera.starts import about_the_middle
 from metrocli.tasks.job import Job, Task
 from metrocli.tasks.shared.images.adjustment import AdjustedImages, Options, adjust_images, must_converge
 from metrocli.tasks.shared.images.camera_parameters import delivered
@@ -106,7 +107,7 @@ def prepared(job: Job[Settings, Files]) -> tuple[Settings, CameraProblem]:
     problem = build(settings.rig, settings.camera, sighted, files.scale_bars)
     if settings.camera.model == SPLINE:
         problem = with_shape(problem, settings.noise not in FROM_RESIDUALS)
-    return settings, problem.with_effects(beside_base(problem, job.effects))
+    return settings, about_the_middle(problem.with_effects(beside_base(problem, job.effects)))
 
 
 def _must_have_size(images: ImageSet, settings: Settings) -> None:

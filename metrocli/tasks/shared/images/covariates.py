@@ -23,6 +23,7 @@ from metrocli.effects.model import Model
 from metrocli.instruments.camera import LENS, TARGET
 from metrocli.tasks.shared.diagnosed import FOLDS
 from metrocli.tasks.shared.images.adjustment import IMAGES, AdjustedImages
+from metrocli.tasks.shared.images.principal_point import held_in_the_middle
 
 PLACE = "place in the image"
 
@@ -76,40 +77,28 @@ def folds(unit: Index) -> Mapping[str, Index]:
     return {IMAGES: np.asarray(rank * min(FOLDS, len(units)) // len(units))}
 
 
-def refit(
-    datum: Datum | None, start: Mapping[str, Block] | None = None
-) -> Callable[[Model, Mapping[str, Mask]], Solution]:
+def refit(datum: Datum | None, size: tuple[int, int] | None = None) -> Callable[[Model, Mapping[str, Mask]], Solution]:
     """Return a function that adjusts a model to the readings kept.
 
-    Poses of images without a reading or a prior are held fixed. A model with more terms of a lens is adjusted from the
-    start of the job, too: where other terms have bent to take their place, steps from there end beside the solution.
+    Poses of images without a reading or a prior are held fixed. A model with more terms of the lens of images of a
+    `size` is adjusted from a principal point in their middle, too: the better solution counts.
     """
 
     def adjusted(model: Model, keep: Mapping[str, Mask]) -> Solution:
         groups = model.kept(keep).groups
         indices = [group.observations.index for group in groups]
+        blocks = {name: _without_the_unread(block, indices) for name, block in model.blocks.items()}
 
-        def from_values(blocks: Mapping[str, Block]) -> Solution:
-            return adjust(
-                [_without_the_unread(block, indices) for block in blocks.values()], groups, datum, StoppingRule()
-            )
+        def from_blocks(start: Mapping[str, Block]) -> Solution:
+            return adjust(start.values(), groups, datum, StoppingRule())
 
-        near = from_values(model.blocks)
-        if start is None or not any(extra.effect.link is None for extra in model.added):
+        near = from_blocks(blocks)
+        if size is None or not any(extra.effect.link is None for extra in model.added):
             return near
-        first = {name: _begun(block, start.get(name)) for name, block in model.blocks.items()}
-        far = from_values(first)
+        far = from_blocks(held_in_the_middle(blocks, size, lambda held: from_blocks(held).blocks))
         return min((near, far), key=lambda found: (not found.outcome.good, found.cost))
 
     return adjusted
-
-
-def _begun(block: Block, start: Block | None) -> Block:
-    """Return a block at the values of a start, with its further columns at zero."""
-    if start is None or start.members != block.members:
-        return block
-    more = block.values.shape[1] - start.values.shape[1]
-    return block.with_values(np.pad(start.values, ((0, 0), (0, more))))
 
 
 def _without_the_unread(block: Block, indices: Sequence[Mapping[str, Index]]) -> Block:
