@@ -21,8 +21,8 @@ from metrocli.instruments import stations as s
 from metrocli.instruments import tracer as t
 from metrocli.tasks.adjust_network.groups import LENGTHS, ROW, is_sighting
 from metrocli.tasks.adjust_network.noise import component
-from metrocli.tasks.adjust_network.problem import FREEDOMS, Network, open_by_given
-from metrocli.tasks.adjust_network.settings import GIVEN, Settings
+from metrocli.tasks.adjust_network.problem import FREEDOMS, Network, must_be_held
+from metrocli.tasks.adjust_network.settings import Settings
 from metrocli.tasks.adjust_network.starts.contradictions import (
     contradicting,
     decided_places,
@@ -33,7 +33,7 @@ from metrocli.tasks.adjust_network.starts.contradictions import (
 )
 from metrocli.tasks.adjust_network.suspects import SuspectedReading, contradictions, suspected
 from metrocli.tasks.shared.mirror import Mirrored
-from metrocli.words import in_a_row, listed
+from metrocli.words import listed
 
 _POINTS_NEAR = 0.02
 """Plausible deviation of points from their list, as a share of the extent of the network"""
@@ -88,8 +88,7 @@ def solve(settings: Settings, network: Network, remove: bool) -> AdjustedNetwork
 
     Raises UndeterminedError or NotConvergedError, in words.
     """
-    if settings.datum == GIVEN:
-        _must_be_given(network)
+    must_be_held(settings, network)
     _must_be_checked(network)
     must_agree_with_setups(network)
     lost = tuple(contradictions(network, removable(network))) if remove else ()
@@ -238,16 +237,6 @@ def _moved(block: Block, move: Array) -> Block:
         # listed orientations are fixed, and the network does not turn against them
         values = values + move[5] * block.free
     return block.with_values(values)
-
-
-def _must_be_given(network: Network) -> None:
-    loose = open_by_given(network.readings)
-    if loose:
-        raise UndeterminedError(
-            f"`datum: given`, but the given points leave open: {in_a_row(loose)}.\n"
-            "  Give a sigma_mm to more points (three that are not on a line fix every motion), "
-            "or write `datum: inner-constraints`"
-        )
 
 
 def _must_be_checked(network: Network) -> None:
