@@ -19,7 +19,7 @@ from metrocli.arrays import Array, Values
 from metrocli.errors import Fault, InputError
 from metrocli.formats.csv_columns import found, has_unit, unused
 from metrocli.formats.csv_plain import PlainCells, plain_cells
-from metrocli.formats.csv_text import Raw, read_text, repeated, shortened, taken_apart
+from metrocli.formats.csv_text import Raw, read_text, repeated, shortened, sound_rows
 from metrocli.formats.file_bytes import FileBytes, atomic_write
 from metrocli.table import NUMBER, TEXT, WHOLE, Column, Columns, Table
 
@@ -36,7 +36,7 @@ def read(path: Path, columns: Columns, shown: str = "", held: FileBytes | None =
     `shown` is the name of the file in messages, `held` its content if it is already read. The table's warnings list
     unused columns. Raises InputError with all faults, at most MOST_FAULTS per file.
     """
-    raw = taken_apart(read_text(path, shown or str(path), held), shown or str(path), plain_cells)
+    raw = sound_rows(read_text(path, shown or str(path), held), shown or str(path), plain_cells)
     columns = _every(raw, columns) if columns.every else columns
     further = tuple(dict.fromkeys((*(name for name in columns.further if name in raw.header), *_tried(raw, columns))))
     columns = replace(columns, columns=(*columns.columns, *(Column(name) for name in further)))
@@ -51,6 +51,7 @@ def read(path: Path, columns: Columns, shown: str = "", held: FileBytes | None =
             if column.name in columns.key:
                 without_key |= {fault.line for fault in faults[before:]}
     raw = replace(raw, cells=())  # which take more memory than the values
+    faults += raw.faults
     if complete:
         faults += repeated(raw, columns, values, without_key)
     if faults:

@@ -47,6 +47,8 @@ class Raw:
     """Line number of each row."""
     bare: bool = False
     """Whether no cell has white space, so that none needs to be stripped."""
+    faults: tuple[Fault, ...] = ()
+    """Of rows with another number of cells than the header, which are left out of the cells"""
 
     @cached_property
     def lines(self) -> list[str]:
@@ -88,10 +90,21 @@ def read_text(path: Path, shown: str, held: FileBytes | None = None) -> str:
         raise InputError([Fault("the file is not text in UTF-8", shown, line, column, hint=hint)]) from error
 
 
-def taken_apart(text: str, file: str, plainly: Plainly | None = None) -> Raw:
-    """Split the text into header and cells; `plainly` may take the cells apart as a whole.
+def taken_apart(text: str, file: str) -> Raw:
+    """Split the text into header and cells.
 
     Raises InputError if there is no header or no row, or if a row has another number of cells than the header.
+    """
+    raw = sound_rows(text, file)
+    if raw.faults:
+        raise InputError(shortened(raw.faults))
+    return raw
+
+
+def sound_rows(text: str, file: str, plainly: Plainly | None = None) -> Raw:
+    """Split the text into header, cells, and faults of rows; `plainly` may take the cells apart as a whole.
+
+    Raises InputError if there is no header, or no row with as many cells.
     """
     lines = ((n, line, end) for n, line, end in _lines(text) if _is_row(line))
     names, stated = next(lines, None), None
@@ -154,10 +167,13 @@ def _row_by_row(raw: Raw) -> Raw:
         return _quoted(raw)
     rows = [raw.lines[n - 1] for n in numbers]
     counts = [row.count(separator) + 1 for row in rows]
-    refuse_cells(raw, [(n, count) for n, count in zip(numbers, counts, strict=True) if count != width])
+    faults = _wrong_rows(raw, list(zip(numbers, counts, strict=True)))
+    if faults:
+        kept = [i for i, count in enumerate(counts) if count == width]
+        rows, numbers = [rows[i] for i in kept], [numbers[i] for i in kept]
     # one split for all rows: their counts are known to agree
     flat = separator.join(rows).split(separator)
-    return replace(raw, cells=tuple(flat[k::width] for k in range(width)), numbers=numbers)
+    return replace(raw, cells=tuple(flat[k::width] for k in range(width)), numbers=numbers, faults=faults)
 
 
 def _is_row(line: str) -> bool:
@@ -184,13 +200,18 @@ def _quoted(raw: Raw) -> Raw:
     except csv.Error as error:
         message = "a quotation mark is not closed, or text follows a closing quotation mark"
         raise InputError([raw.fault(message, numbers[-1])]) from error
-    wrong = [(number, len(row)) for number, row in zip(numbers, rows, strict=True) if len(row) != len(raw.header)]
-    refuse_cells(raw, wrong)
-    return replace(raw, cells=tuple(zip(*rows, strict=True)), numbers=numbers)
+    faults = _wrong_rows(raw, [(number, len(row)) for number, row in zip(numbers, rows, strict=True)])
+    kept = [(number, row) for number, row in zip(numbers, rows, strict=True) if len(row) == len(raw.header)]
+    cells = tuple(zip(*(row for _, row in kept), strict=True))
+    return replace(raw, cells=cells, numbers=[number for number, _ in kept], faults=faults)
 
 
-def refuse_cells(raw: Raw, wrong: Sequence[tuple[int, int]]) -> None:
-    """Raise InputError for rows with a wrong number of cells, given as (line, number of cells)."""
+def _wrong_rows(raw: Raw, counts: Sequence[tuple[int, int]]) -> tuple[Fault, ...]:
+    """Return the faults of rows, given as (line, number of cells), that have another number of cells than the header.
+
+    Raises InputError if no row has the right number: the other cells then have no columns that could be checked.
+    """
+    wrong = [(line, count) for line, count in counts if count != len(raw.header)]
     if wrong:
         _refuse_preamble(raw)
     decimal = raw.separator == "," and all(has_decimal_comma(raw.lines[line - 1]) for line, _ in wrong)
@@ -201,8 +222,9 @@ def refuse_cells(raw: Raw, wrong: Sequence[tuple[int, int]]) -> None:
         hint = "is there a decimal comma? write 0.1, not 0,1" if comma else f"columns: {', '.join(raw.header)}"
         message = f"cells in this row: {count}; columns in the header: {len(raw.header)}"
         faults.append(raw.fault(message, line, min(count, len(raw.header)) if more else count, hint))
-    if faults:
+    if len(wrong) == len(counts):
         raise InputError(shortened(faults))
+    return tuple(faults)
 
 
 def _refuse_preamble(raw: Raw) -> None:
