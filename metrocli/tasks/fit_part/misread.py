@@ -38,6 +38,9 @@ def misread(nominal: Sought, measured: Array, surface: Index, start: Array, to_p
     mirrored, nearer = read_so(_MIRROR)
     sign = "turn the sign of one column of coordinates, or exchange two of them, whichever the file has wrong"
     rough = _ROUGH * extents(measured).max()
+    if rms > rough:
+        # another search: a pose that was not found would speak against the points as they are
+        rms = min(rms, _fit(nominal, measured, surface, found(nominal, measured, surface, start, seed=2))[0])
     if mirrored * _BETTER < rms and mirrored < rough:
         raise InputError(
             f"the points are a mirror image of the part: mirrored, they lie {mirrored:.3g} mm from its surfaces (root "

@@ -110,7 +110,7 @@ def solve(settings: Settings, prepared: Prepared) -> FittedPart:
     # points that leave a motion open fit in whatever way they are read
     other: tuple[str, ...] = ()
     if surface is not None and not open_motions:
-        other = tuple(misread(nominal, places.points, surface, prepared.start, rough))
+        other = tuple(misread(nominal, places.points, surface, prepared.start, even.to_part))
     turned = reversed_surfaces(stock, nominal, even.to_part) if isinstance(nominal, OfSurfaces) else []
     highest, largest, holding = most_of_many(stock, even.to_part)
     if not c.feasible(largest, minimum):
