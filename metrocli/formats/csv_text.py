@@ -1,25 +1,20 @@
-"""The text of a CSV file: cells, headings with units, and rows whose keys occur twice."""
+"""The text of a CSV file: its header, cells and rows."""
 
 from __future__ import annotations
 
 import csv
 import math
 import re
-from collections.abc import Callable, Container, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 
-import numpy as np
-
-from metrocli.arrays import Values
-from metrocli.copies import row_hashes
 from metrocli.errors import Fault, InputError
 from metrocli.formats.csv_header import MARKS, has_decimal_comma, later_header, separator_of
 from metrocli.formats.csv_plain import PlainCells
 from metrocli.formats.file_bytes import FileBytes, read_bytes
 from metrocli.frozen import dataclass
-from metrocli.table import Columns, Table
 from metrocli.words import composed
 
 MOST_FAULTS = 20
@@ -276,31 +271,3 @@ def _is_number(cell: str) -> bool:
         return math.isfinite(float(cell))
     except ValueError:
         return False
-
-
-def repeated(raw: Raw, columns: Columns, values: dict[str, Values], without: Container[int | None]) -> list[Fault]:
-    """Return a fault for each row that has the same key as an earlier row, but for the lines `without` a key."""
-    names = [name for name in columns.key if name in values]
-    if not names:
-        return []
-    if _all_different(Table({name: values[name] for name in names})):
-        return []
-    keys = list(zip(*(values[name].tolist() for name in names), strict=True))
-    first: dict[tuple[object, ...], int] = {}
-    faults = []
-    for row, key in enumerate(keys):
-        if raw.numbers[row] in without:
-            continue
-        if key in first:
-            message = ", ".join(f"{name} {value}" for name, value in zip(names, key, strict=True))
-            faults.append(raw.fault(f"{message}: a second row", raw.numbers[row], None, f"first in line {first[key]}"))
-        else:
-            first[key] = raw.numbers[row]
-    return faults
-
-
-def _all_different(keys: Table) -> bool:
-    """Return whether no two rows have the same values in all columns; False also where chance gives equal numbers."""
-    # one hash for each row costs far less than a tuple for each, and nearly always decides
-    numbers = np.sort(row_hashes(keys, tuple(keys)))
-    return bool((numbers[1:] != numbers[:-1]).all())

@@ -60,8 +60,8 @@ def misread(nominal: Sought, measured: Array, surface: Index, start: Array, to_p
     if mirrored < _NEARER * rms and nearer * _NEARER < off:
         yield (
             f"a mirror image of the points fits the surfaces as well ({mirrored:.3g} mm, root mean square), and is "
-            f"nearer to the `point` of the planes ({nearer:.3g} mm) than the points as they are ({off:.3g} mm); "
-            f"{sign}; points on an opposite surface would decide"
+            f"nearer to the `point` of the planes ({nearer:.3g} mm) than the points as they are ({off:.3g} mm). "
+            f"If the file is wrong, {sign}. Points on an opposite surface would decide"
         )
 
 
