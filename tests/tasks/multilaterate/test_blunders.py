@@ -176,3 +176,11 @@ def test_lengths_under_another_name_are_named(tracers: list[int], outliers: str)
     assert f"lengths of P7 (line{'s' * (len(tracers) > 1)} {lines})" in str(failed.value)
     assert "they fit P3: correct the name" in str(failed.value)
     assert "too few" not in str(failed.value) and "give approximate places" not in str(failed.value)
+
+
+def test_no_name_is_offered_for_lengths_that_fit_no_point() -> None:
+    net = network(12, 5, seed=162)
+    net.readings[7] += np.array([40.0, -25.0, 61.0, 33.0, -52.0])
+    with pytest.raises(NoSolutionError, match="lengths of P7 .*are off by") as failed:
+        multilaterate.run(multilaterate.TASK.job(settings(), net.lengths(), net.point_table()))
+    assert "correct the name" not in str(failed.value)
