@@ -77,7 +77,8 @@ def expressed(program: str, result: Result, within: float, posed: bool = False) 
         try:
             camera = _of_program(program, stated, within)
         except InputError as error:
-            raise InputError(f"camera {stated.name}: {error}" if stated.name else str(error)) from error
+            of = f"camera {stated.name}: " if stated.name else ""
+            raise InputError([replace(fault, message=of + fault.message) for fault in error.faults]) from error
         lost = f"the pose of {stated.name} beside {found[0].name} is not in this format" if found and not posed else ""
         found.append(replace(camera, name=stated.name, pose=stated.pose, notes=(*camera.notes, *filter(None, [lost]))))
     return found

@@ -9,6 +9,7 @@ import csv
 import io
 import math
 import re
+from collections.abc import Container
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,7 +20,7 @@ from metrocli.arrays import Array, Values
 from metrocli.errors import Fault, InputError
 from metrocli.formats.csv_columns import found, has_unit, unused
 from metrocli.formats.csv_plain import PlainCells, plain_cells
-from metrocli.formats.csv_text import Raw, read_text, repeated, shortened, taken_apart
+from metrocli.formats.csv_text import Raw, read_text, shortened, sound_rows
 from metrocli.formats.file_bytes import FileBytes, atomic_write
 from metrocli.table import NUMBER, TEXT, WHOLE, Column, Columns, Table
 
@@ -36,7 +37,7 @@ def read(path: Path, columns: Columns, shown: str = "", held: FileBytes | None =
     `shown` is the name of the file in messages, `held` its content if it is already read. The table's warnings list
     unused columns. Raises InputError with all faults, at most MOST_FAULTS per file.
     """
-    raw = taken_apart(read_text(path, shown or str(path), held), shown or str(path), plain_cells)
+    raw = sound_rows(read_text(path, shown or str(path), held), shown or str(path), plain_cells)
     columns = _every(raw, columns) if columns.every else columns
     further = tuple(dict.fromkeys((*(name for name in columns.further if name in raw.header), *_tried(raw, columns))))
     columns = replace(columns, columns=(*columns.columns, *(Column(name) for name in further)))
@@ -51,8 +52,9 @@ def read(path: Path, columns: Columns, shown: str = "", held: FileBytes | None =
             if column.name in columns.key:
                 without_key |= {fault.line for fault in faults[before:]}
     raw = replace(raw, cells=())  # which take more memory than the values
+    faults += raw.faults
     if complete:
-        faults += repeated(raw, columns, values, without_key)
+        faults += _repeated(raw, columns, values, without_key)
     if faults:
         raise InputError(shortened(faults))
     internal = {c.name: units.internal_unit(c.dimension) for c in columns.columns if has_unit(c) and c.name in values}
@@ -62,6 +64,34 @@ def read(path: Path, columns: Columns, shown: str = "", held: FileBytes | None =
     if copied:
         raise InputError(shortened(copied))
     return table
+
+
+def _repeated(raw: Raw, columns: Columns, values: dict[str, Values], without: Container[int | None]) -> list[Fault]:
+    """Return a fault for each row that has the same key as an earlier row, but for the lines `without` a key."""
+    names = [name for name in columns.key if name in values]
+    if not names:
+        return []
+    if _all_different(Table({name: values[name] for name in names})):
+        return []
+    keys = list(zip(*(values[name].tolist() for name in names), strict=True))
+    first: dict[tuple[object, ...], int] = {}
+    faults = []
+    for row, key in enumerate(keys):
+        if raw.numbers[row] in without:
+            continue
+        if key in first:
+            message = ", ".join(f"{name} {value}" for name, value in zip(names, key, strict=True))
+            faults.append(raw.fault(f"{message}: a second row", raw.numbers[row], None, f"first in line {first[key]}"))
+        else:
+            first[key] = raw.numbers[row]
+    return faults
+
+
+def _all_different(keys: Table) -> bool:
+    """Return whether no two rows have the same values in all columns; False also where chance gives equal numbers."""
+    # one hash for each row costs far less than a tuple for each, and nearly always decides
+    numbers = np.sort(copies.row_hashes(keys, tuple(keys)))
+    return bool((numbers[1:] != numbers[:-1]).all())
 
 
 def _tried(raw: Raw, columns: Columns) -> list[str]:

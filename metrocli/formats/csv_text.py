@@ -1,25 +1,20 @@
-"""The text of a CSV file: cells, headings with units, and rows whose keys occur twice."""
+"""The text of a CSV file: its header, cells and rows."""
 
 from __future__ import annotations
 
 import csv
 import math
 import re
-from collections.abc import Callable, Container, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 
-import numpy as np
-
-from metrocli.arrays import Values
-from metrocli.copies import row_hashes
 from metrocli.errors import Fault, InputError
 from metrocli.formats.csv_header import MARKS, has_decimal_comma, later_header, separator_of
 from metrocli.formats.csv_plain import PlainCells
 from metrocli.formats.file_bytes import FileBytes, read_bytes
 from metrocli.frozen import dataclass
-from metrocli.table import Columns, Table
 from metrocli.words import composed
 
 MOST_FAULTS = 20
@@ -47,6 +42,8 @@ class Raw:
     """Line number of each row."""
     bare: bool = False
     """Whether no cell has white space, so that none needs to be stripped."""
+    faults: tuple[Fault, ...] = ()
+    """Of rows with another number of cells than the header, which are left out of the cells"""
 
     @cached_property
     def lines(self) -> list[str]:
@@ -88,10 +85,21 @@ def read_text(path: Path, shown: str, held: FileBytes | None = None) -> str:
         raise InputError([Fault("the file is not text in UTF-8", shown, line, column, hint=hint)]) from error
 
 
-def taken_apart(text: str, file: str, plainly: Plainly | None = None) -> Raw:
-    """Split the text into header and cells; `plainly` may take the cells apart as a whole.
+def taken_apart(text: str, file: str) -> Raw:
+    """Split the text into header and cells.
 
     Raises InputError if there is no header or no row, or if a row has another number of cells than the header.
+    """
+    raw = sound_rows(text, file)
+    if raw.faults:
+        raise InputError(shortened(raw.faults))
+    return raw
+
+
+def sound_rows(text: str, file: str, plainly: Plainly | None = None) -> Raw:
+    """Split the text into header, cells, and faults of rows; `plainly` may take the cells apart as a whole.
+
+    Raises InputError if there is no header, or no row with as many cells.
     """
     lines = ((n, line, end) for n, line, end in _lines(text) if _is_row(line))
     names, stated = next(lines, None), None
@@ -154,10 +162,13 @@ def _row_by_row(raw: Raw) -> Raw:
         return _quoted(raw)
     rows = [raw.lines[n - 1] for n in numbers]
     counts = [row.count(separator) + 1 for row in rows]
-    refuse_cells(raw, [(n, count) for n, count in zip(numbers, counts, strict=True) if count != width])
+    faults = _wrong_rows(raw, list(zip(numbers, counts, strict=True)))
+    if faults:
+        kept = [i for i, count in enumerate(counts) if count == width]
+        rows, numbers = [rows[i] for i in kept], [numbers[i] for i in kept]
     # one split for all rows: their counts are known to agree
     flat = separator.join(rows).split(separator)
-    return replace(raw, cells=tuple(flat[k::width] for k in range(width)), numbers=numbers)
+    return replace(raw, cells=tuple(flat[k::width] for k in range(width)), numbers=numbers, faults=faults)
 
 
 def _is_row(line: str) -> bool:
@@ -184,13 +195,18 @@ def _quoted(raw: Raw) -> Raw:
     except csv.Error as error:
         message = "a quotation mark is not closed, or text follows a closing quotation mark"
         raise InputError([raw.fault(message, numbers[-1])]) from error
-    wrong = [(number, len(row)) for number, row in zip(numbers, rows, strict=True) if len(row) != len(raw.header)]
-    refuse_cells(raw, wrong)
-    return replace(raw, cells=tuple(zip(*rows, strict=True)), numbers=numbers)
+    faults = _wrong_rows(raw, [(number, len(row)) for number, row in zip(numbers, rows, strict=True)])
+    kept = [(number, row) for number, row in zip(numbers, rows, strict=True) if len(row) == len(raw.header)]
+    cells = tuple(zip(*(row for _, row in kept), strict=True))
+    return replace(raw, cells=cells, numbers=[number for number, _ in kept], faults=faults)
 
 
-def refuse_cells(raw: Raw, wrong: Sequence[tuple[int, int]]) -> None:
-    """Raise InputError for rows with a wrong number of cells, given as (line, number of cells)."""
+def _wrong_rows(raw: Raw, counts: Sequence[tuple[int, int]]) -> tuple[Fault, ...]:
+    """Return the faults of rows, given as (line, number of cells), that have another number of cells than the header.
+
+    Raises InputError if no row has the right number: the other cells then have no columns that could be checked.
+    """
+    wrong = [(line, count) for line, count in counts if count != len(raw.header)]
     if wrong:
         _refuse_preamble(raw)
     decimal = raw.separator == "," and all(has_decimal_comma(raw.lines[line - 1]) for line, _ in wrong)
@@ -201,8 +217,9 @@ def refuse_cells(raw: Raw, wrong: Sequence[tuple[int, int]]) -> None:
         hint = "is there a decimal comma? write 0.1, not 0,1" if comma else f"columns: {', '.join(raw.header)}"
         message = f"cells in this row: {count}; columns in the header: {len(raw.header)}"
         faults.append(raw.fault(message, line, min(count, len(raw.header)) if more else count, hint))
-    if faults:
+    if len(wrong) == len(counts):
         raise InputError(shortened(faults))
+    return tuple(faults)
 
 
 def _refuse_preamble(raw: Raw) -> None:
@@ -254,31 +271,3 @@ def _is_number(cell: str) -> bool:
         return math.isfinite(float(cell))
     except ValueError:
         return False
-
-
-def repeated(raw: Raw, columns: Columns, values: dict[str, Values], without: Container[int | None]) -> list[Fault]:
-    """Return a fault for each row that has the same key as an earlier row, but for the lines `without` a key."""
-    names = [name for name in columns.key if name in values]
-    if not names:
-        return []
-    if _all_different(Table({name: values[name] for name in names})):
-        return []
-    keys = list(zip(*(values[name].tolist() for name in names), strict=True))
-    first: dict[tuple[object, ...], int] = {}
-    faults = []
-    for row, key in enumerate(keys):
-        if raw.numbers[row] in without:
-            continue
-        if key in first:
-            message = ", ".join(f"{name} {value}" for name, value in zip(names, key, strict=True))
-            faults.append(raw.fault(f"{message}: a second row", raw.numbers[row], None, f"first in line {first[key]}"))
-        else:
-            first[key] = raw.numbers[row]
-    return faults
-
-
-def _all_different(keys: Table) -> bool:
-    """Return whether no two rows have the same values in all columns; False also where chance gives equal numbers."""
-    # one hash for each row costs far less than a tuple for each, and nearly always decides
-    numbers = np.sort(row_hashes(keys, tuple(keys)))
-    return bool((numbers[1:] != numbers[:-1]).all())

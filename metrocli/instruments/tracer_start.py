@@ -15,7 +15,7 @@ _FLAT = 1e-4
 """Points whose thickness is below this share of their extent are treated as coplanar"""
 _AS_GOOD, _ROUNDING = 1.5, 1e-9
 """A place counts as equally good if its misfit is at most this multiple of the smallest, plus a rounding error"""
-_DRAWS, _COMPARED, _ENOUGH = 60, 300, 12
+_DRAWS, _COMPARED, _ENOUGH = 60, 300, 8
 """Random samples of lengths, most lengths used to compare them, and fewest lengths of a tracer for sampling"""
 _GROSS, _ROUNDS = 12.0, 30
 """Lengths with residuals above this multiple of the median are down-weighted; most rounds of reweighting"""
@@ -103,7 +103,7 @@ def _unspoiled(local: Array, reading: Array, absolute: bool) -> Array:
     """
     n = len(local)
     draw = Random(0)
-    rows = np.array([draw.sample(range(n), 7) for _ in range(_DRAWS)])
+    rows = np.array([draw.sample(range(n), 6) for _ in range(_DRAWS)])
     known, last = reading[rows][:, :, None], -np.ones((*rows.shape, 1))
     matrix = np.concatenate([2 * local[rows], *([] if absolute else [2 * known]), last], axis=2)
     right = (local[rows] ** 2).sum(axis=2) - reading[rows] ** 2

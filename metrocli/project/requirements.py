@@ -164,7 +164,8 @@ class Requirements:
             return BAD
         parts = [(key.text, part) for key, value in node.entries for part in (value.items or (value,))]
         requirements = [_requirement(name, part, faults) for name, part in parts]
-        return BAD if None in requirements else tuple(requirements)
+        # those that can be read are checked against the figures of the job, beside the faults of the others
+        return tuple(requirement for requirement in requirements if requirement is not None)
 
     def schema(self) -> Schema:
         shape: Schema = {"type": "string", "pattern": rf"^\s*(<=|>=|==|<|>)\s*{_NUMBER}\s*(\S*)\s*$"}

@@ -359,8 +359,8 @@ NAMES, TURN, SHIFT = ("left", "right"), Rotation.from_euler("xyz", [0.02, -0.1, 
 """Pose of the right camera in the frame of the left one: `X_left = R X_right + d`, mm"""
 
 
-def several() -> Result:
-    rows = [(name, key, value) for name in NAMES for key, value in USUAL.items()]
+def several(lens: Mapping[str, float] = USUAL) -> Result:
+    rows = [(name, key, value) for name in NAMES for key, value in lens.items()]
     camera, parameter, value = zip(*rows, strict=True)
     place = np.stack([np.zeros(6), [*SHIFT, *TURN.as_euler("xyz")]])
     sizes = {"image_width": [float(SIZE[0])] * 2, "image_height": [float(SIZE[1])] * 2}
@@ -393,6 +393,13 @@ def test_where_several_cameras_are_stands_in_their_files(program: str) -> None:
     turn, shift = posed(program)
     assert turn == pytest.approx(TURN.inv().as_matrix(), abs=1e-12)
     assert shift == pytest.approx(-TURN.inv().apply(SHIFT), abs=1e-9)
+
+
+def test_a_camera_of_several_is_refused_by_its_name() -> None:
+    with pytest.raises(InputError) as refused:
+        export("kalibr", several(lens=LENSES["rational"]))
+    assert str(refused.value).startswith("error: camera left: no model of kalibr")
+    assert str(refused.value).count("error:") == 1
 
 
 @pytest.mark.parametrize("program", ["ros", "metashape", "matlab"])

@@ -157,6 +157,12 @@ def test_all_faults_are_told_in_the_order_of_the_file(tmp_path: Path) -> None:
     assert [line[:11] for line in told.splitlines() if "error" in line] == ["obs.csv:2:5", "obs.csv:3:1", "obs.csv:4:5"]
 
 
+@pytest.mark.parametrize("quoted", ["b", '"b"'])
+def test_a_row_of_too_few_cells_hides_no_other_fault(quoted: str, tmp_path: Path) -> None:
+    told = faults(tmp_path, HEAD + f"a,1,nan\n{quoted},1\na,2,3\nb,2,x\n")
+    assert [line[:9] for line in told.splitlines() if "error" in line] == ["obs.csv:2", "obs.csv:3", "obs.csv:5"]
+
+
 def test_values_at_the_ends_of_a_range_are_read(tmp_path: Path) -> None:
     columns = Columns((Column("a", "angle"), Column("x", "length"), Column("temp", "temperature"), Column("n", WHOLE)))
     table = read(tmp_path, "a_deg,x_m,temp_K,n\n720,10000,0,999999999\n-720,-10000,2000,-5\n", columns)

@@ -324,6 +324,8 @@ FITTING = (REFUSED, "test_gross_errors_alone_are_no_wrong_heading")
 RIGHT = (OF_NETWORKS, "test_nothing_is_proposed_for_readings_that_fit")
 SOUND = (OF_MACHINES, "test_right_settings_are_not_doubted")
 JOINED = "tasks/fit_points/test_joined.py"
+BLUNDERS = "tasks/multilaterate/test_blunders.py"
+POSES, MISREAD = "tasks/align_part/test_exchanged_poses.py", "tasks/fit_part/test_misread.py"
 ELSEWHERE = {
     "the points of station {} are a mirror image of the others": (
         (JOINED, "test_what_cannot_be_joined_is_refused"), (JOINED, "test_stations_that_share_points")),
@@ -346,6 +348,16 @@ ELSEWHERE = {
     "{} of {} with the other sign": ((OF_MACHINES, "test_a_tool_with_the_wrong_sign_is_refused"), SOUND),
     "{}: read so, the squared residuals are {} times smaller; write {}": (
         (OF_MACHINES, "test_a_wrong_setting_makes_the_result_doubtful"), SOUND),
+    "; they fit {}: correct the name": (
+        (BLUNDERS, "test_lengths_under_another_name_are_named"), (BLUNDERS, "test_no_name_is_offered_for_lengths_that_fit_no_point")),
+    "the poses of images {} and {} are exchanged: read so": (
+        (POSES, "test_both_images_are_named"), (POSES, "test_no_exchange_is_offered_where_none_mends_the_poses")),
+    "the points are a mirror image of the part: mirrored, they lie {} mm from its surfaces": (
+        (MISREAD, "test_a_mirror_image_that_fits_far_better_is_named"), (MISREAD, "test_right_coordinates_are_not_doubted")),
+    "{} of the points fit if they are multiplied by {}, such as {}": (
+        (MISREAD, "test_another_unit_is_named"), (MISREAD, "test_right_coordinates_are_not_doubted")),
+    "a mirror image of the points fits the surfaces as well": (
+        (MISREAD, "test_a_mirror_image_that_fits_alike_is_doubtful"), (MISREAD, "test_right_coordinates_are_not_doubted")),
     "the imaged sizes of the targets fit no one diameter": (
         ("tasks/shared/images/test_imaged_size.py", "test_sizes_that_fit_no_one_diameter_do_not_blame_it"),
         ("tasks/shared/images/test_imaged_size.py", "test_the_right_diameter_of_the_sample_is_accepted")),

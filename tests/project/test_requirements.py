@@ -68,6 +68,15 @@ def test_a_typo_is_found_with_file_line_and_what_is_allowed(
     assert not Path("results").exists()
 
 
+def test_a_requirement_that_cannot_be_read_hides_no_other(
+    started: Callable[[str], None], metrocli: Callable[..., Any]
+) -> None:
+    started("gauge-block")
+    _requires(Path("jobs/gum.yaml"), "{l: 'about 5', l.stdd: '< 1 nm', l.std: '< 1 kg'}")
+    found = metrocli("check", "jobs/gum.yaml").err
+    assert "'about 5' is not a comparison" in found and "no value 'l.stdd'" in found and "require.l.std: " in found
+
+
 def test_what_only_files_name_is_checked_for_its_form(
     started: Callable[[str], None], metrocli: Callable[..., Any]
 ) -> None:

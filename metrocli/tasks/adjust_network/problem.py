@@ -18,6 +18,7 @@ from metrocli.arrays import Array, Mask
 from metrocli.effects.model import Model, Place
 from metrocli.effects.modelled import Modelled
 from metrocli.effects.requested import RequestedEffect
+from metrocli.errors import UndeterminedError
 from metrocli.frozen import dataclass
 from metrocli.instruments import stations as s
 from metrocli.instruments import tracer as t
@@ -28,6 +29,7 @@ from metrocli.tasks.adjust_network.readings import NetworkReadings
 from metrocli.tasks.adjust_network.settings import GIVEN, Settings
 from metrocli.tasks.adjust_network.starts.agreement import NetworkStart
 from metrocli.tasks.adjust_network.unknowns import blocks_of, kind_of_stations, rows_of_kind, seen_points
+from metrocli.words import in_a_row
 
 
 @dataclass(frozen=True)
@@ -217,18 +219,45 @@ def _not_determined(readings: NetworkReadings) -> list[int]:
 
 def open_by_given(readings: NetworkReadings) -> list[str]:
     """Return the motions that given points, verticals and lengths leave open."""
-    points = readings.points
-    used = np.isfinite(points.sigma) & seen_points(readings)[:, None]
+    used = np.isfinite(readings.points.sigma) & seen_points(readings)[:, None]
+    return _left_open(readings, np.nan_to_num(readings.points.listed), used)
+
+
+def _open_by_datum(network: Network) -> list[str]:
+    """Return the motions that the points of inner constraints leave open, beside verticals and lengths."""
+    if network.datum is None:
+        return []
+    used = np.repeat(network.datum.members[:, None] > 0, 3, axis=1)
+    return _left_open(network.readings, network.datum.reference, used)
+
+
+def _left_open(readings: NetworkReadings, place: Array, used: Mask) -> list[str]:
+    """Return the motions that fixed coordinates (points, 3) leave open, with verticals and lengths."""
     # levelled height differences show the direction of the vertical: tilts are no motions then
     needed = [i for i in _not_determined(readings) if i not in (3, 4) or readings.heights is None]
-    place = np.nan_to_num(points.listed)
-    centred = place - place[used.any(axis=1)].mean(axis=0) if used.any() else place
+    fixed = used.any(axis=1)
+    centred = place - place[fixed].mean(axis=0) if fixed.any() else place
     # about their middle and of size 1: shifts and turns are then alike in size
-    centred /= float(np.abs(centred[used.any(axis=1)]).max(initial=0.0)) or 1.0
-    moves = of_points(scale=True).at(centred, np.arange(points.count))[used][:, needed]
+    centred = centred / (float(np.abs(centred[fixed]).max(initial=0.0)) or 1.0)
+    moves = of_points(scale=True).at(centred, np.arange(len(place)))[used][:, needed]
     if not len(moves):
         return [FREEDOMS[i] for i in needed]
     _, values, vectors = np.linalg.svd(moves, full_matrices=True)
     values = np.concatenate([values, np.zeros(len(needed) - len(values))]) if len(values) < len(needed) else values
     loose = vectors[values < 1e-6 * values[0]]
     return [FREEDOMS[i] for k, i in enumerate(needed) if (np.abs(loose[:, k]) > 0.1).any()]
+
+
+def must_be_held(settings: Settings, network: Network) -> None:
+    """Raise UndeterminedError for given points, or points named for inner constraints, that do not fix every motion."""
+    if settings.datum == GIVEN:
+        loose, by = open_by_given(network.readings), "`datum: given`, but the given points"
+        cure = "Give a sigma_mm to more points ({}), or write `datum: inner-constraints`"
+    elif settings.datum_points is not None:
+        loose, by = _open_by_datum(network), "the points of `datum_points`"
+        cure = "Name more points ({}), or leave `datum_points` out: then all points hold the network"
+    else:
+        return
+    if loose:
+        cure = cure.format("three that are not on a line fix every motion")
+        raise UndeterminedError(f"{by} leave open: {in_a_row(loose)}.\n  {cure}")

@@ -25,7 +25,7 @@ from metrocli.tasks.adjust_network.sightings import (
     sightings_of,
     stations_of,
 )
-from metrocli.tasks.shared.lists import matched, refuse, sigmas
+from metrocli.tasks.shared.lists import matched, negative, refuse, sigmas
 from metrocli.uncertainty.predicted import POINTS_COVARIANCE, points_of
 from metrocli.words import listed
 
@@ -109,7 +109,7 @@ def read(settings: Settings, files: Files) -> NetworkReadings:
 def _setups(table: Table | None) -> tuple[tuple[str, ...], Array, Array]:
     if table is None:
         return ("",), np.zeros(1), np.zeros(1)
-    refuse(table, {"a standard deviation is negative": table.numbers("sigma") < 0})
+    refuse(table, negative(table, "sigma"))
     names = ("", *table.texts("setup"))
     return names, np.append(0.0, table.numbers("height")), np.append(0.0, table.numbers("sigma"))
 

@@ -227,9 +227,7 @@ def _listed(chosen: Sequence[SuspectedReading]) -> Table:
 
 
 def _named(chosen: Sequence[SuspectedReading]) -> list[str]:
-    return [
-        f"{'/'.join(text for text in suspect.keys.values() if text)} (w = {suspect.test:.1f})" for suspect in chosen
-    ]
+    return [f"{suspect.name} (w = {suspect.test:.1f})" for suspect in chosen]
 
 
 def _statistics(solved: AdjustedNetwork, solution: Solution) -> Statistics:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable
 from typing import Any
 
@@ -27,6 +28,7 @@ from metrocli.table import ABSENT, Columns, Table, columns
 from metrocli.tasks.shared.figures import adjusted
 from metrocli.tasks.shared.lists import SIGMAS
 from metrocli.tasks.shared.noise import model_setting
+from metrocli.words import listed
 
 TRACKER, TOTAL_STATION, INTERFEROMETER = "tracker", "total-station", "interferometer"
 GIVEN, INNER = "given", "inner-constraints"
@@ -242,9 +244,12 @@ class Settings:
     )
 
     def faults(self) -> Iterable[tuple[str, str]]:
-        """Yield a fault for datum points that nothing uses, and for a levelled instrument on its side."""
+        """Yield faults for datum points without use or named twice, and for a levelled instrument on its side."""
         if self.datum == GIVEN and self.datum_points is not None:
             yield "datum_points", f"these are of inner constraints: leave them out, or write `datum: {INNER}`"
+        twice = [name for name, count in Counter(self.datum_points or ()).items() if count > 1]
+        if twice:
+            yield "datum_points", f"named more than once: {listed(twice)}; name each point once"
         name = self.of_further_stations
         if self.plan is not None and self.plan.rolled and name is not None and self.instruments[name].is_levelled:
             yield (

@@ -11,7 +11,7 @@ from metrocli.errors import InputError, all_faults
 from metrocli.frozen import dataclass
 from metrocli.table import ABSENT, Table
 from metrocli.tasks.adjust_network.settings import INTERFEROMETER, Files, NetworkInstrument, Settings
-from metrocli.tasks.shared.lists import matched, refuse
+from metrocli.tasks.shared.lists import matched, negative, refuse
 
 _PAIRS = (("az", "hz"), ("el", "zd"))
 QUANTITIES = ("az", "el", "d")
@@ -87,7 +87,7 @@ def stations_of(settings: Settings, files: Files, names: Sequence[str]) -> Stati
             "a station over a point needs an instrument that is levelled": (over >= 0) & ~levelled,
             "a station over a point needs a height_mm": (over >= 0) & np.isnan(height),
             "a station with a known gamma needs an instrument that is levelled": np.isfinite(gamma) & ~levelled,
-            "a standard deviation is negative": table.numbers("sigma_height", 0.0) < 0,
+            **negative(table, "sigma_height"),
         },
     )
     place = np.stack([table.numbers(axis, np.nan) for axis in "xyz"], axis=1)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -21,17 +21,19 @@ from metrocli.instruments import stations as s
 from metrocli.instruments import tracer as t
 from metrocli.tasks.adjust_network.groups import LENGTHS, ROW, is_sighting
 from metrocli.tasks.adjust_network.noise import component
-from metrocli.tasks.adjust_network.problem import FREEDOMS, Network, open_by_given
-from metrocli.tasks.adjust_network.settings import GIVEN, Settings
+from metrocli.tasks.adjust_network.problem import FREEDOMS, Network, must_be_held
+from metrocli.tasks.adjust_network.settings import Settings
 from metrocli.tasks.adjust_network.starts.contradictions import (
     contradicting,
     decided_places,
     must_agree_with_setups,
     refusal,
+    removable,
+    sightings_to_blame,
 )
 from metrocli.tasks.adjust_network.suspects import SuspectedReading, contradictions, suspected
 from metrocli.tasks.shared.mirror import Mirrored
-from metrocli.words import in_a_row
+from metrocli.words import listed
 
 _POINTS_NEAR = 0.02
 """Plausible deviation of points from their list, as a share of the extent of the network"""
@@ -86,16 +88,17 @@ def solve(settings: Settings, network: Network, remove: bool) -> AdjustedNetwork
 
     Raises UndeterminedError or NotConvergedError, in words.
     """
-    if settings.datum == GIVEN:
-        _must_be_given(network)
+    must_be_held(settings, network)
     _must_be_checked(network)
     must_agree_with_setups(network)
+    lost = tuple(contradictions(network, removable(network))) if remove else ()
+    network = _without(network, network.blocks, lost) if lost else network
     network = network.with_blocks(_robust(network))
     wrong = contradicting(network, network.blocks)
     if wrong and not remove:
         raise refusal(network, wrong)
     out = tuple(contradictions(network, wrong))
-    begun = _Used(_without(network, network.blocks, out) if out else network, out)
+    begun = _Used(_without(network, network.blocks, out) if out else network, (*lost, *out))
 
     def renewed(used: _Used, solved: AdjustedNetwork) -> tuple[_Used, bool]:
         if not remove or not solved.suspects:
@@ -161,7 +164,7 @@ def _waiting(network: Network, rows: Mapping[str, Index]) -> list[Group]:
 
 def _adjusted(used: _Used) -> AdjustedNetwork:
     network, solution = _anchored(used.network, _weighted(used.network))
-    _must_be_determined(network, solution)
+    _must_be_determined(network, solution, used.out)
     residuals = {
         group.name: residuals_of(solution, group) for group in solution.groups if group.name in network.model.measured
     }
@@ -236,16 +239,6 @@ def _moved(block: Block, move: Array) -> Block:
     return block.with_values(values)
 
 
-def _must_be_given(network: Network) -> None:
-    loose = open_by_given(network.readings)
-    if loose:
-        raise UndeterminedError(
-            f"`datum: given`, but the given points leave open: {in_a_row(loose)}.\n"
-            "  Give a sigma_mm to more points (three that are not on a line fix every motion), "
-            "or write `datum: inner-constraints`"
-        )
-
-
 def _must_be_checked(network: Network) -> None:
     """Raise UndeterminedError for interferometers with too few lengths, or points in one plane with them."""
     lengths = network.readings.lengths
@@ -273,12 +266,14 @@ def _must_be_checked(network: Network) -> None:
         raise UndeterminedError("lengths do not determine where interferometers stand:\n" + "\n".join(lines))
 
 
-def _must_be_determined(network: Network, solution: Solution) -> None:
+def _must_be_determined(network: Network, solution: Solution, out: Sequence[SuspectedReading]) -> None:
     if solution.outcome in (Outcome.UNDETERMINED, Outcome.TOO_FEW):
         lines = [f"  {combination}" for combination in solution.undetermined[:_MOST_NAMED]]
-        raise UndeterminedError("\n".join([solution.outcome.value, *lines, *_cures(solution)]), solution.misfit)
+        gone = [f"  Left out as wrong: {listed([suspect.name for suspect in out])}"] if out else []
+        raise UndeterminedError("\n".join([solution.outcome.value, *lines, *gone, *_cures(solution)]), solution.misfit)
     if not solution.outcome.good:
-        raise NotConvergedError(f"{solution.outcome.value} ({solution.iterations} steps)", solution.misfit)
+        told = f"{solution.outcome.value} ({solution.iterations} steps)"
+        raise NotConvergedError(told + sightings_to_blame(network), solution.misfit)
 
 
 def _cures(solution: Solution) -> Iterator[str]:

@@ -24,6 +24,11 @@ class SuspectedReading:
     test: float
     keys: Mapping[str, str]
 
+    @property
+    def name(self) -> str:
+        """Its names in a row, such as S1/P004/az."""
+        return "/".join(text for text in self.keys.values() if text)
+
 
 def suspected(of_groups: Mapping[str, Residuals], solution: Solution) -> Iterator[SuspectedReading]:
     """Yield the wrong readings, the worst first; all groups are tested together."""

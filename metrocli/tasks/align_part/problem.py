@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import field, replace
+from itertools import combinations
 
 import numpy as np
 
@@ -37,6 +38,8 @@ _ANGLES = np.linspace(-np.pi, np.pi, 12, endpoint=False)
 """Clamping angles [rad] to start from, if the start at 0 fails"""
 _GOOD = 0.01
 """RMS angle between rays and targets [rad] below which a start is accepted"""
+_EXCHANGED, _MOST_EXCHANGED = 5.0, 30
+"""Two poses are named as exchanged if the angle is so many times smaller then; sought among so many images"""
 
 
 @dataclass(frozen=True)
@@ -183,7 +186,33 @@ def _start(
             pose, value = tried(float(angle))
             if value < misfit:
                 best, misfit, chosen = pose, value, float(angle)
+    if misfit > _GOOD and len(exposed.names) <= _MOST_EXCHANGED:
+        turns = {0.0, chosen}
+
+        def misfit_at(at: Array) -> float:
+            return min(spindle.start_pose(spindle.rays(at, in_taper, turn, seen, points))[1] for turn in turns)
+
+        _refuse_exchanged(exposed, sighted, spindle_poses, misfit, misfit_at)
     return best, chosen
+
+
+def _refuse_exchanged(
+    exposed: Exposures, sighted: Sighted, spindle_poses: Array, misfit: float, misfit_at: Callable[[Array], float]
+) -> None:
+    """Raise InputError if the sightings fit far better with the poses of two images exchanged."""
+    best, pair = np.inf, (0, 0)
+    for pair_tried in combinations(range(len(spindle_poses)), 2):
+        order = np.arange(len(spindle_poses))
+        order[list(pair_tried)] = pair_tried[::-1]
+        tried = misfit_at(spindle_poses[order][exposed.exposure[sighted.view]])
+        if tried < best:
+            best, pair = tried, pair_tried
+    if best * _EXCHANGED < misfit and best < _GOOD:
+        first, second = (exposed.names[number] for number in pair)
+        raise InputError(
+            f"the poses of images {first} and {second} are exchanged: read so, the lines of sight meet the targets to "
+            f"{1000 * best:.2g} mrad; exchange their names in the file of poses, or those of the images"
+        )
 
 
 @dataclass(frozen=True)

@@ -182,6 +182,7 @@ def seen_from_behind(problem: CameraProblem) -> list[str]:
         return []
     behind = poses.apply(frame, poses.inverse(problem.blocks[camera.VIEW].values)[:, :3])[:, 2] > 0
     few = behind if 2 * behind.sum() <= len(behind) else ~behind
+    few &= problem.blocks[camera.VIEW].free.any(axis=1)  # an image that lost all readings has no pose
     named = [name for name, there in zip(problem.sighted.images, few, strict=True) if there]
     noun = "image" if len(named) == 1 else "images"
     text = f"{noun} {listed(named)}: the board is seen from the other side than in the others; mirrored?"

@@ -62,6 +62,7 @@ def report(solved: FittedPart, check: Check | None = None) -> Result:
         tables=tables,
         arrays={**arrays, "rotation": poses.rotation_of(poses.inverse(fit.to_part))},
         warnings=(*solved.warnings, *warnings(solved, surfaces, tables["rejected"])),
+        doubts=solved.doubts,
         shown=tuple(shown),
         notes=(*notes(solved, holding), *(check.notes if check is not None else ()), *in_words(hidden)),
     )

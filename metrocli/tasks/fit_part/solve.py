@@ -29,6 +29,7 @@ from metrocli.tasks.fit_part.fit import (
 )
 from metrocli.tasks.fit_part.ideal import ideal, must_be_of_one_size
 from metrocli.tasks.fit_part.levels import Levels, robust_levels
+from metrocli.tasks.fit_part.misread import misread
 from metrocli.tasks.fit_part.nominals import OfMesh, OfSurfaces
 from metrocli.tasks.fit_part.settings import NominalFile, PartStart, Settings
 from metrocli.tasks.fit_part.start import found, unturned
@@ -72,6 +73,7 @@ class FittedPart:
     """Largest possible least overstock [mm], inf without limit"""
     sensitivity: Sensitivity
     warnings: tuple[str, ...]
+    doubts: tuple[str, ...] = ()
 
 
 def prepare(settings: Settings, nominal: NominalFile | Triangles, points: Table | Result) -> Prepared:
@@ -99,11 +101,16 @@ def solve(settings: Settings, prepared: Prepared) -> FittedPart:
     """
     nominal, places = prepared.nominal, prepared.readings.surface_points
     rough = _rough(prepared)
-    even = robust_levels(nominal, places.points, prepared.readings.surface, rough, places.sigma)
+    surface = prepared.readings.surface
+    even = robust_levels(nominal, places.points, surface, rough, places.sigma)
     used = ~even.outlying if settings.outliers == "remove" else np.ones(len(places.points), dtype=bool)
     stock = even.stock.of(used)
     name, minimum = settings.overstock.aim, settings.overstock.minimum
     open_motions = c.must_be_determined(stock, even.to_part, name)
+    # points that leave a motion open fit in whatever way they are read
+    other: tuple[str, ...] = ()
+    if surface is not None and not open_motions:
+        other = tuple(misread(nominal, places.points, surface, prepared.start, even.to_part))
     turned = reversed_surfaces(stock, nominal, even.to_part) if isinstance(nominal, OfSurfaces) else []
     highest, largest, holding = most_of_many(stock, even.to_part)
     if not c.feasible(largest, minimum):
@@ -122,7 +129,7 @@ def solve(settings: Settings, prepared: Prepared) -> FittedPart:
     aim, fitted = fitted_part(stock, name, minimum, (begin, largest, holding), prepared.start)
     sense = sensitivity_with_exchanges(fitted, aim, prepared.start, places.of(used).places)
     warnings = (*prepared.readings.warnings, *open_motions, *doubts)
-    return FittedPart(prepared, even, used, stock, aim, fitted, min(minimum, largest), largest, sense, warnings)
+    return FittedPart(prepared, even, used, stock, aim, fitted, min(minimum, largest), largest, sense, warnings, other)
 
 
 def _has_the_minimum(stock: Stock, minimum: float, to_part: Array) -> bool:

@@ -16,6 +16,7 @@ from metrocli.tasks.multilaterate.correction import list_offset, probing_of, ref
 from metrocli.tasks.multilaterate.diagnosis import adjusted_job, covariates, noise_of
 from metrocli.tasks.multilaterate.effects import EFFECTS, PLACES
 from metrocli.tasks.multilaterate.layout import PlannedNetwork, PlannedPoints, distance
+from metrocli.tasks.multilaterate.misnamed import naming_wrong_lengths
 from metrocli.tasks.multilaterate.plan import planned
 from metrocli.tasks.multilaterate.problem import build, network_of
 from metrocli.tasks.multilaterate.readings import read
@@ -35,11 +36,12 @@ def run(job: Job[Settings, Files]) -> Result:
             probing = probing_of(settings, job.files)
         with each():
             features = requested_features(settings.features, job.files.probing)
-    network = build(settings, job.files).with_effects(job.effects)
-    if probing is not None:
-        refuse_lost(network, probing)
     remove, model = settings.outliers == "remove", settings.noise.model
-    solved, factor = weighed(model, network, lambda network: solve(network, remove))
+    with naming_wrong_lengths(settings, job.files):
+        network = build(settings, job.files).with_effects(job.effects)
+        if probing is not None:
+            refuse_lost(network, probing)
+        solved, factor = weighed(model, network, lambda network: solve(network, remove))
     return report(solved, noise_of(solved, model, factor), probing, features, settings.part)
 
 

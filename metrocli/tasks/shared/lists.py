@@ -37,9 +37,14 @@ def sigmas(table: Table, without: float = float("nan")) -> Array:
     A coordinate without a column has the value `without`. Raises InputError that names every row with a negative one.
     """
     common = table.numbers("sigma", without)
-    sigma = np.stack([table.numbers(f"sigma_{axis}") if f"sigma_{axis}" in table else common for axis in "xyz"], axis=1)
-    refuse(table, {"a standard deviation is negative": np.asarray((sigma < 0).any(axis=1))})
-    return sigma
+    refuse(table, negative(table, "sigma", *(f"sigma_{axis}" for axis in "xyz")))
+    return np.stack([table.numbers(f"sigma_{axis}") if f"sigma_{axis}" in table else common for axis in "xyz"], axis=1)
+
+
+def negative(table: Table, *names: str) -> dict[str, Mask]:
+    """Return the rows with a negative standard deviation in each of the named columns, under a text."""
+    text = "a standard deviation is negative, in column '{}'".format
+    return {text(table.headings.get(name, name)): table.numbers(name) < 0 for name in names if name in table}
 
 
 def listed_places(key: str, names: Sequence[str], places: Array) -> Table:

@@ -31,6 +31,17 @@ CASES: dict[str, tuple[int, str, dict[str, str], str, str]] = {
     "distance": (3, "a distance is not above zero", {"readings": POLAR + "S1,A,1,1,-5\n"}, "", ""),
     "station": (3, "'S9' is not in the stations", {"readings": POLAR + "S9,A,1,1,5\n"}, "", ""),
     "exact": (3, "no standard deviation", {"readings": POLAR + FOUR, "stations": "station,instrument\nS1,BARE\n"}, "", ""),
+    "datum point twice": (3, "named more than once: A", {"readings": POLAR + FOUR}, "datum_points: [A, B, A, C]\n", ""),
+    "one datum point": (
+        4, "`datum_points` leave open: rotation about x, rotation about y and rotation about z", {"readings": POLAR + FOUR}, "datum_points: [A]\n", "",
+    ),
+    "two datum points": (
+        4, "Name more points", {"readings": POLAR + FOUR}, "datum_points: [A, B]\n", "",
+    ),
+    "negative sigmas": (
+        3, "in column 'sigma_mm'", {"readings": POLAR + FOUR, "points": POINTS.replace(",0.1", ",-0.1")}, "",
+        ", points: points.csv",
+    ),
     "datum point": (3, "no file names the points X", {"readings": POLAR + FOUR}, "datum_points: [A, X]\n", ""),
     "covariance": (
         3, "not positive definite", {"readings": POLAR + FOUR, "points": POINTS, "covariance": SQUARE}, "",

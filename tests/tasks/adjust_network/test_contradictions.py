@@ -84,3 +84,47 @@ def test_two_wrong_given_points_are_named_together(tmp_path: Path, metrocli: Met
     ran = metrocli("diagnose", replace(net, near=near, given=(0, 1, 2, 3, 5, 6, 7, 8)).write(tmp_path), "--quick")
     assert ran.code == 0, ran.err
     assert "given-point P001" in ran.out and "given-point P003" in ran.out
+
+
+def under_another_name(net: Network, station: int, point: int, other: int) -> Network:
+    """The network whose station reads a point under the name of another one, which it does not see."""
+    kept = ~((net.station == station) & (net.point == other))
+    named = np.where((net.station == station) & (net.point == point), other, net.point)[kept]
+    return replace(net, station=net.station[kept], point=named, face=net.face[kept], seen=net.seen[kept])
+
+
+def far_off(net: Network, station: int, point: int) -> Network:
+    seen = net.seen.copy()
+    seen[(net.station == station) & (net.point == point), 2] *= 3
+    return replace(net, seen=seen)
+
+
+@pytest.mark.parametrize("seed", [1, 6])
+def test_a_few_points_do_not_turn_a_set_up_after_a_wrong_name(seed: int, tmp_path: Path, metrocli: Metrocli) -> None:
+    net = network(np.random.default_rng(seed), stations=2, points=8, levelled=seed == 1)
+    ran = metrocli("adjust-network", under_another_name(net, 1, 1, 6).write(tmp_path))
+    assert ran.code == 3 and "P002 and P007 are exchanged at station S2" in ran.err, ran.err
+
+
+@pytest.mark.parametrize("listed", [True, False])
+def test_a_whole_sighting_is_left_out(listed: bool, tmp_path: Path, metrocli: Metrocli) -> None:
+    """By single angles and distances nothing but a mixture of the right and the wrong sighting may remain."""
+    net = network(np.random.default_rng(41), stations=2 if listed else 3, points=11, listed=listed)
+    ran = metrocli("adjust-network", under_another_name(net, 1, 4, 8).write(tmp_path, more="outliers: remove\n"))
+    assert ran.code == 0, ran.err
+    rejected = hdf5.read(tmp_path / "result.h5")[0].tables["rejected"]
+    assert set(zip(rejected.texts("station"), rejected.texts("point"), strict=True)) == {("S2", "P009")}
+    assert len(rejected) == 3
+
+
+def test_two_sightings_alone_are_both_named(tmp_path: Path, metrocli: Metrocli) -> None:
+    net = far_off(network(np.random.default_rng(42), stations=2, points=9, listed=False), 1, 4)
+    ran = metrocli("adjust-network", net.write(tmp_path, more="outliers: remove\n"))
+    assert ran.code == 5 and "S1/P005 (line 6)" in ran.err and "S2/P005 (line 15)" in ran.err, ran.err
+    assert "Nothing else shows which" in ran.err
+
+
+def test_an_adjustment_that_does_not_converge_names_the_sighting(tmp_path: Path, metrocli: Metrocli) -> None:
+    net = far_off(network(np.random.default_rng(3), stations=4, points=8, levelled=True, listed=False), 0, 2)
+    ran = metrocli("adjust-network", net.write(tmp_path))
+    assert ran.code == 5 and "S1/P003 (line 4) by" in ran.err and "`outliers: remove` leaves" in ran.err, ran.err

@@ -156,3 +156,18 @@ def test_a_mirrored_image_of_a_network_makes_it_doubtful() -> None:
     assert not calibrate_camera.run(few).doubts
     (doubt,) = calibrate_camera.run(mirrored(few, str(np.unique(image)[6]), 8688)).doubts
     assert doubt.startswith(f"half of the points of image {np.unique(image)[6]} are off by more than")
+
+
+def test_it_is_left_out_with_all_its_readings() -> None:
+    """Its pose, which no reading is left to determine, is no unknown then."""
+    right = measured(0, wrong=False, outliers="remove")
+    seen = right.files.observations
+    assert seen is not None
+    target, mine = np.array(seen.texts("target")), np.array(seen.texts("image")) == "i03"
+    target[mine] = np.random.default_rng(146).permutation(target[mine])
+    wrong = replace(right, files=replace(right.files, observations=seen.joined({"target [text]": target})))
+    result, expected = calibrate_camera.run(wrong), calibrate_camera.run(right)
+    assert result.tables["rejected"].texts("image").count("i03") == mine.sum() and result.doubts == ()
+    assert not any("from the other side" in line for line in result.warnings)
+    for found, of_right in zip(result.estimates[:2], expected.estimates[:2], strict=True):
+        assert abs(found.value - of_right.value) < 3 * found.std

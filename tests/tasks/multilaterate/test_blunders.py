@@ -11,7 +11,7 @@ from simulated.lengths import network, places, settings
 
 from benchmarks import blunders
 from metrocli.adjust.solution import residuals_of
-from metrocli.errors import NotConvergedError
+from metrocli.errors import NoSolutionError, NotConvergedError
 from metrocli.tasks.multilaterate import task as multilaterate
 from metrocli.tasks.multilaterate.problem import build
 from metrocli.tasks.multilaterate.settings import Files
@@ -160,3 +160,27 @@ def test_redundancy_sums_to_the_degrees_of_freedom() -> None:
     total = sum(residuals_of(solved.solution, group).redundancy.sum() for group in solved.solution.groups)
     assert total == pytest.approx(solved.solution.dof, rel=1e-7)
     assert solved.solution.dof == (5 - 3) * 30 - 5 * 5 + 6 + 5
+
+
+@pytest.mark.parametrize("tracers", [[2], [0, 1, 2, 3, 4]], ids=["one length", "a whole stop"])
+@pytest.mark.parametrize("outliers", ["report", "remove"])
+def test_lengths_under_another_name_are_named(tracers: list[int], outliers: str) -> None:
+    """They are named with their lines, in place of what the spoiled adjustment would blame."""
+    net = network(12, 5, seed=162)
+    net.readings[7, tracers], net.readings[3, tracers] = net.readings[3, tracers], np.nan
+    job = multilaterate.TASK.job(settings(outliers=outliers), lengths := net.lengths(), net.point_table())
+    rows = [i for i, name in enumerate(lengths.texts("point")) if name == "P7"]
+    lines = ", ".join(str(lengths.lines[i]) for i in rows if lengths.texts("tracer")[i] in {f"T{j}" for j in tracers})
+    with pytest.raises(NoSolutionError) as failed:
+        multilaterate.run(job)
+    assert f"lengths of P7 (line{'s' * (len(tracers) > 1)} {lines})" in str(failed.value)
+    assert "they fit P3: correct the name" in str(failed.value)
+    assert "too few" not in str(failed.value) and "give approximate places" not in str(failed.value)
+
+
+def test_no_name_is_offered_for_lengths_that_fit_no_point() -> None:
+    net = network(12, 5, seed=162)
+    net.readings[7] += np.array([40.0, -25.0, 61.0, 33.0, -52.0])
+    with pytest.raises(NoSolutionError, match="lengths of P7 .*are off by") as failed:
+        multilaterate.run(multilaterate.TASK.job(settings(), net.lengths(), net.point_table()))
+    assert "correct the name" not in str(failed.value)

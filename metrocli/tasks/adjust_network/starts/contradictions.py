@@ -1,4 +1,4 @@
-"""Lengths, bars, height differences and given points that contradict the joined set-ups, as no effect does.
+"""Sightings, lengths, bars, height differences and given points that contradict the joined set-ups, as no effect does.
 
 They are found before they can spoil an adjustment: by a wrong unit, sign or name they are off by a part of the network.
 """
@@ -12,12 +12,12 @@ import numpy as np
 from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.solution import Solution
-from metrocli.arrays import Array, Index
+from metrocli.arrays import Array, Index, Mask
 from metrocli.errors import NotConvergedError
 from metrocli.instruments import tracer as t
-from metrocli.tasks.adjust_network.groups import BARS, GIVEN_POINTS, HEIGHTS, LENGTHS, is_sighting
+from metrocli.tasks.adjust_network.groups import BARS, GIVEN_POINTS, HEIGHTS, LENGTHS, ROW, is_sighting
 from metrocli.tasks.adjust_network.problem import Network
-from metrocli.tasks.adjust_network.starts.agreement import CONTRADICTORY
+from metrocli.tasks.adjust_network.starts.agreement import CONTRADICTORY, medians, placed
 from metrocli.tasks.shared.mirror import Mirrored, mirrored, must_be_decided, of_points, of_tracers
 from metrocli.words import listed
 
@@ -26,6 +26,7 @@ _ONE = {LENGTHS: "length", BARS: "bar", HEIGHTS: "height difference"}
 _FEW = 2
 """Fewest readings of a group that can be wrong as a whole"""
 _NAMED = 5
+_UNDECIDED = ".\n  Nothing else shows which sighting of a point is wrong: correct its name or values, or delete its row"
 
 
 def must_agree_with_setups(network: Network) -> None:
@@ -47,6 +48,75 @@ def contradicting(network: Network, blocks: Mapping[str, Block]) -> dict[str, In
     groups = (group for group in _others(network) if group.name in _WORDS)
     rows = {group.name: np.flatnonzero(_off(group, blocks) > _limit(network)) for group in groups}
     return {name: found for name, found in rows.items() if found.size}
+
+
+def _astray(network: Network) -> tuple[Index, Array]:
+    """Return the sightings that contradict the set-ups, and how far each puts its point from where others do [mm].
+
+    Those that agree with more than half of the sightings of a point, and of its listed place, are right; where there is
+    no such half, all are given.
+    """
+    seen, listed_at = network.readings.sightings, network.readings.points.listed
+    rows, places = placed(network.readings, network.start)
+    point, limit = seen.point[rows], _limit(network)
+    middle = medians(places, point, len(listed_at))[point]
+    found, off = [np.zeros(0, dtype=np.intp)], [np.zeros(0)]
+    for number in np.unique(point[np.linalg.norm(places - middle, axis=1) > limit / 2]).tolist():
+        own = np.flatnonzero(point == number)
+        votes = np.concatenate([places[own], listed_at[[number]]])
+        votes = votes[np.isfinite(votes).all(axis=1)]
+        apart = np.linalg.norm(places[own][:, None] - votes, axis=2)
+        wrong = 2 * (apart <= limit).sum(axis=1) <= len(votes)
+        found.append(rows[own[wrong]])
+        off.append(apart[wrong].max(axis=1))
+    return np.concatenate(found), np.concatenate(off)
+
+
+def _in_words(network: Network, sightings: Index, off: Array) -> str:
+    """Return sightings with their line, and how far each puts its point from where others do."""
+    seen, readings = network.readings.sightings, network.readings
+    stations, points = (readings.stations.names, seen.station), (readings.points.names, seen.point)
+    texts = []
+    for row, away in zip(sightings.tolist(), off.tolist(), strict=True):
+        name = "/".join(names[of[row]] for names, of in (stations, points))
+        texts.append(f"{name} (line {seen.table.lines[row]}) by {away:.3g} mm" if seen.table.lines else name)
+    return listed(texts, _NAMED)
+
+
+def sightings_to_blame(network: Network) -> str:
+    """Return the sightings that contradict the set-ups, why an adjustment does not converge; nothing without any."""
+    rows, off = _astray(network)
+    if not rows.size:
+        return ""
+    alone = _alone(network, rows).any()
+    return (
+        f".\n  Sightings contradict the set-ups: {_in_words(network, rows, off)}"
+        f"{_UNDECIDED if alone else '; `outliers: remove` leaves them out'}"
+    )
+
+
+def removable(network: Network) -> dict[str, Index]:
+    """Return the readings of the sightings that contradict the set-ups, by group.
+
+    Raises NotConvergedError for points that would lose all sightings.
+    """
+    rows, off = _astray(network)
+    alone = _alone(network, rows)
+    if alone.any():
+        named = _in_words(network, rows[alone], off[alone])
+        raise NotConvergedError(f"sightings contradict the set-ups: {named}{_UNDECIDED}")
+    groups = (network.model.group(name) for name in network.model.measured)
+    return {
+        group.name: np.flatnonzero(np.isin(group.observations.index[ROW], rows))
+        for group in groups
+        if is_sighting(group) and rows.size
+    }
+
+
+def _alone(network: Network, rows: Index) -> Mask:
+    """Return which sightings belong to points that have no further ones, (n,)."""
+    point = network.readings.sightings.point
+    return np.asarray(~np.isin(point[rows], np.delete(point, rows)))
 
 
 def refusal(network: Network, rows: Mapping[str, Index]) -> NotConvergedError:

@@ -143,8 +143,9 @@ def adjust_images(
         state = robust_start(blocks.values(), [group, *others], (group.name,), datum, "view")
     # readings that are far off at the start are left out at once: each would otherwise take a round of its own
     far = gross(group, state) if options.remove_outliers else np.zeros(group.observations.count)
+    kept = group.selected(np.flatnonzero(far == 0))
     begun = _KeptImagePoints(
-        Used(far), group.selected(np.flatnonzero(far == 0)), state, _ROUGH if options.remove_outliers else _EXACT
+        Used(far), kept, _without_lost_views(state, kept), _ROUGH if options.remove_outliers else _EXACT
     )
 
     def fewer(using: _KeptImagePoints, solved: _Solved) -> tuple[_KeptImagePoints, bool]:
@@ -154,10 +155,11 @@ def adjust_images(
             out = apart(suspected, solved.residuals, solved.group.observations.index["view"])
         keep = np.ones(solved.group.observations.count, dtype=bool)
         keep[suspected.rows[out]] = False
+        rest = solved.group.selected(keep)
         left = _KeptImagePoints(
             using.used.without(suspected, out),
-            solved.group.selected(keep),
-            solved.solution.blocks,
+            rest,
+            _without_lost_views(solved.solution.blocks, rest),
             # rough as long as outliers are found; a last adjustment is exact
             using.within if out.size else _EXACT,
         )
@@ -171,6 +173,15 @@ def adjust_images(
     return AdjustedImages(
         solved.solution, solved.group, solved.residuals, _rejected(group, using.used.tests), suspected, noise
     )
+
+
+def _without_lost_views(blocks: Mapping[str, Block], group: Group) -> Mapping[str, Block]:
+    """Return the blocks; the pose of an image that lost all readings is no unknown: nothing else depends on it."""
+    view = blocks.get("view")
+    if view is None:
+        return blocks
+    left = np.bincount(group.observations.index["view"], minlength=len(view.members)) > 0
+    return blocks if left.all() else {**blocks, "view": replace(view, free=view.free & left[:, None])}
 
 
 def _must_fit(residuals: Residuals | None, image_size: tuple[int, int]) -> None:

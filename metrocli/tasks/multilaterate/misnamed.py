@@ -1,0 +1,83 @@
+"""Lengths that the list of points contradicts where all others fit it: stops under another name, and single lengths."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import numpy as np
+
+from metrocli.adjust.medians import median
+from metrocli.arrays import Array, Index
+from metrocli.errors import InputError, NoSolutionError
+from metrocli.instruments import tracer as t
+from metrocli.instruments.tracer_start import start
+from metrocli.table import Table
+from metrocli.tasks.multilaterate.readings import LengthReadings, read
+from metrocli.tasks.multilaterate.settings import Files, Settings
+
+_OFF, _ROUGH = 30.0, 1e-3
+"""A length is wrong from so many times the median misfit, and this share of the extent"""
+_FEW = 4
+"""Lengths of at most one point in so many are to blame: more would spoil the places of the tracers"""
+
+
+@contextmanager
+def naming_wrong_lengths(settings: Settings, files: Files) -> Iterator[None]:
+    """Let a failure name the lengths that the list of points contradicts, if all others fit it."""
+    try:
+        yield
+    except NoSolutionError as error:
+        named = _named(files.lengths, read(settings, files))
+        if not named:
+            raise
+        # what an adjustment blames that these lengths have spoiled (layout, units, list) is not the reason
+        raise type(error)("\n  ".join([str(error).partition(":")[0], *named]), error.misfit) from error
+    except InputError:
+        named = _named(files.lengths, read(settings, files))
+        if not named:
+            raise
+        raise InputError([files.lengths.fault(text) for text in named]) from None
+
+
+def _named(lengths: Table, readings: LengthReadings) -> list[str]:
+    """Return what is wrong with the lengths of each point that contradict the list, in words; none if it is unclear."""
+    seen = readings.seen_by
+    point = readings.observations.index[t.POINT][seen.rows]
+    of = seen.tracers.of[seen.rows]
+    places = np.array([_place(readings, np.flatnonzero(of == i), i) for i in range(len(seen.tracers.names))])[of]
+    miss = np.abs(_misfits(places, seen.points, seen.length))
+    bound = max(_OFF * float(median(miss)), _ROUGH * seen.extent)
+    wrong = np.flatnonzero(miss > bound)
+    blamed = np.unique(point[wrong])
+    # nan where a tracer has no place
+    if not np.isfinite(miss).all() or not 0 < _FEW * len(blamed) <= len(np.unique(point)):
+        return []
+    texts = []
+    for number in blamed.tolist():
+        own = wrong[point[wrong] == number]
+        rows = seen.rows[own]
+        others = _fitting(readings, places[own], seen.length[own], bound)
+        where = f"line{'s' * (len(rows) > 1)} {', '.join(str(lengths.lines[row]) for row in rows)}"
+        to = f"; they fit {readings.names[others[0]]}: correct the name" if len(others) == 1 else ""
+        texts.append(
+            f"lengths of {readings.names[number]} ({where}) are off by up to {miss[own].max():.3g} mm from where the "
+            f"list puts it, those of all other points by less than {bound:.2g} mm{to}"
+        )
+    return texts
+
+
+def _place(readings: LengthReadings, mine: Index, tracer: int) -> Array:
+    """Return place and dead path (4,) of one tracer from its lengths to the listed points."""
+    seen, near = readings.seen_by, readings.tracers.listed_at[tracer]
+    return start(seen.points[mine], seen.length[mine], seen.absolute, near if np.isfinite(near).all() else None)
+
+
+def _misfits(places: Array, points: Array, lengths: Array) -> Array:
+    return np.asarray(lengths + places[:, 3] - np.linalg.norm(points - places[:, :3], axis=1))
+
+
+def _fitting(readings: LengthReadings, places: Array, lengths: Array, bound: float) -> Index:
+    """Return the points of the list that lengths from known places fit."""
+    away = np.linalg.norm(readings.nominal[:, None] - places[:, :3], axis=2)
+    return np.flatnonzero((np.abs(lengths + places[:, 3] - away) < bound).all(axis=1))

@@ -1,0 +1,67 @@
+"""Coordinates of exchanged columns, wrong signs or wrong units are refused or doubtful; right ones are fitted."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from simulated.castings import Array, casting
+
+Metrocli = Callable[..., Any]
+OPEN = ("left", "front", "bottom", "bore-1", "bore-2")
+"""Surfaces without an opposite one"""
+MIRRORED: dict[str, Callable[[Array], Array]] = {
+    "a sign": lambda points: points * [1.0, -1.0, 1.0],
+    "two columns": lambda points: points[:, [2, 1, 0]],
+}
+UNITS: dict[str, Callable[[Array], Array]] = {
+    "x of the points fit if they are multiplied by 0.001": lambda points: points * [1000.0, 1.0, 1.0],
+    "x, y and z of the points fit if they are multiplied by 1000": lambda points: points / 1000.0,
+}
+
+
+def written(folder: Path, change: Callable[[Array], Array], surfaces: tuple[str, ...] = (), seed: int = 71) -> Path:
+    """A job on a casting, of some of its surfaces, whose coordinates are changed in the file."""
+    made = casting(seed)
+    kept = np.isin(made.surface, surfaces or made.surface)
+    job = replace(made, points=change(made.points[kept]), surface=made.surface[kept]).write(folder)
+    if surfaces:
+        part = folder / "part.yaml"
+        lines = part.read_text().splitlines()
+        named = [line for line in lines if any(f"name: {name}," in line for name in surfaces)]
+        part.write_text("\n".join([lines[0], *named]) + "\n")
+    return job
+
+
+@pytest.mark.parametrize("how", MIRRORED)
+def test_a_mirror_image_that_fits_far_better_is_named(how: str, tmp_path: Path, metrocli: Metrocli) -> None:
+    ran = metrocli("fit-part", written(tmp_path, MIRRORED[how]))
+    assert ran.code == 3 and "the points are a mirror image of the part" in ran.err, ran.err
+
+
+@pytest.mark.parametrize("how", MIRRORED)
+def test_a_mirror_image_that_fits_alike_is_doubtful(how: str, tmp_path: Path, metrocli: Metrocli) -> None:
+    ran = metrocli("fit-part", written(tmp_path, MIRRORED[how], OPEN))
+    assert ran.code == 6 and "a mirror image of the points fits the surfaces as well" in ran.out, ran.out
+
+
+@pytest.mark.parametrize("surfaces", [(), OPEN], ids=["whole", "open"])
+@pytest.mark.parametrize("words", UNITS)
+def test_another_unit_is_named(words: str, surfaces: tuple[str, ...], tmp_path: Path, metrocli: Metrocli) -> None:
+    ran = metrocli("fit-part", written(tmp_path, UNITS[words], surfaces))
+    assert ran.code == 3 and words in ran.err, ran.err
+
+
+@pytest.mark.alike
+@pytest.mark.parametrize("seed", range(72, 77))
+def test_right_coordinates_are_not_doubted(seed: int, tmp_path: Path, metrocli: Metrocli) -> None:
+    """Points near one end of each surface are far from those that the file gives of its planes."""
+    ends = casting(seed)
+    near = (ends.points - ends.pose[:3])[:, 0] < 900.0
+    half = replace(ends, points=ends.points[near], surface=ends.surface[near])
+    ran = metrocli("fit-part", half.write(tmp_path))
+    assert ran.code == 0 and "mirror" not in ran.out + ran.err, ran.out + ran.err
