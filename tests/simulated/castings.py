@@ -57,7 +57,9 @@ class Casting:
         measured = self.points if points is None else points
         return overstock((measured - pose[:3]) @ turn(pose[3:]), self.surface)
 
-    def write(self, folder: Path, *lines: str, named: bool = True, minimum: float = 0.5, aim: str = "even") -> Path:
+    def write(
+        self, folder: Path, *lines: str, named: bool = True, minimum: float = 0.5, aim: str = "even", scale: float = 1.0
+    ) -> Path:
         """Write the job and its files."""
         rows = ["point,x_mm,y_mm,z_mm,sigma_mm" + (",surface" if named else "")]
         for n, (point, name) in enumerate(zip(self.points, self.surface, strict=True)):
@@ -67,7 +69,7 @@ class Casting:
         for n, point in enumerate(self.targets):
             rows.append(f"T{n},{point[0]:.9f},{point[1]:.9f},{point[2]:.9f},{self.sigma}" + ("," if named else ""))
         (folder / "points.csv").write_text("\n".join(rows) + "\n")
-        (folder / "part.yaml").write_text(nominal())
+        (folder / "part.yaml").write_text(nominal(scale))
         job = folder / "job.yaml"
         more = () if named else ("targets: [T*]",)
         head = (
@@ -81,16 +83,16 @@ class Casting:
         return job
 
 
-def nominal() -> str:
-    """The ideal part as a file."""
+def nominal(scale: float = 1.0) -> str:
+    """The ideal part as a file, in another size."""
     lines = ["surfaces:"]
     for name, (axis, side) in FACES.items():
-        point, normal = SIZE / 2, np.zeros(3)
-        point[axis], normal[axis] = SIZE[axis] if side > 0 else 0.0, side
+        point, normal = scale * SIZE / 2, np.zeros(3)
+        point[axis], normal[axis] = scale * SIZE[axis] if side > 0 else 0.0, side
         place = ", ".join(f"{value} mm" for value in point)
         lines.append(f"- {{name: {name}, type: plane, point: [{place}], normal: {normal.tolist()}}}")
     for name, (x, y, radius, side) in ROUND.items():
-        material = "inside" if side > 0 else "outside"
+        x, y, radius, material = scale * x, scale * y, scale * radius, "inside" if side > 0 else "outside"
         lines.append(
             f"- {{name: {name}, type: cylinder, point: [{x} mm, {y} mm, 0 mm], axis: [0, 0, 1], radius: {radius} mm, material: {material}}}"
         )
@@ -105,18 +107,21 @@ def casting(
     sigma: float = 0.03,
     angle: float = 0.1,
     less: dict[str, float] | None = None,
+    scale: float = 1.0,
 ) -> Casting:
     """A casting whose surfaces have an overstock each, scattered by its roughness; `less` changes that of some."""
     rng = np.random.default_rng(seed)
     points, names = [], []
     for name in NAMES:
         own = rng.uniform(*stock) + (less or {}).get(name, 0.0) + rng.normal(size=each) * rough
-        place = rng.uniform(0.05, 0.95, size=(each, 3)) * SIZE
+        size = scale * SIZE
+        place = rng.uniform(0.05, 0.95, size=(each, 3)) * size
         if name in FACES:
             axis, side = FACES[name]
-            place[:, axis] = SIZE[axis] + own if side > 0 else -own
+            place[:, axis] = size[axis] + own if side > 0 else -own
         else:
-            x, y, radius, side = ROUND[name]
+            x, y, radius = scale * np.array(ROUND[name][:3])
+            side = ROUND[name][3]
             about = rng.uniform(0, 2 * np.pi, each)
             place[:, 0] = x + (radius + side * own) * np.cos(about)
             place[:, 1] = y + (radius + side * own) * np.sin(about)
@@ -125,6 +130,6 @@ def casting(
     pose = np.concatenate([rng.uniform(-150, 150, 3), rng.uniform(-angle, angle, 3)])
     turned = turn(pose[3:])
     exact = np.concatenate(points) @ turned.T + pose[:3]
-    targets = (rng.uniform(-0.1, 1.1, size=(6, 3)) * SIZE) @ turned.T + pose[:3]
+    targets = (rng.uniform(-0.1, 1.1, size=(6, 3)) * scale * SIZE) @ turned.T + pose[:3]
     measured = exact + rng.normal(size=exact.shape) * sigma
     return Casting(pose, np.array(names), measured.round(7), exact, targets.round(7), sigma)  # as in the file

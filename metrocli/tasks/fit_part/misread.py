@@ -9,64 +9,135 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from metrocli.arrays import Array, Index, extents
+from metrocli.arrays import Array, extents
 from metrocli.errors import InputError
-from metrocli.geometry import poses
-from metrocli.tasks.fit_part.start import Sought, found
+from metrocli.frozen import dataclass
+from metrocli.tasks.fit_part.levels import Levels, robust_step
+from metrocli.tasks.fit_part.nominals import OfSurfaces
+from metrocli.tasks.fit_part.start import found
+from metrocli.tasks.fit_part.stock import Stock
 
 _BETTER = 5.0
 """Coordinates that are read otherwise are refused as given if they fit so many times better so"""
 _ROUGH = 3e-3
-"""Distance from the surfaces, as a share of the extent, above which other units are tried: raw parts have less"""
-_NEARER = 1.5
-"""A mirror image that fits alike, within this ratio, is named if it is so many times nearer to the planes' points"""
-_COLUMNS = {"x": (0,), "y": (1,), "z": (2,), "x, y and z": (0, 1, 2)}
+"""Scatter about the levels, as a share of the extent, above which other units are tried: raw parts have less"""
+_THICKEST = 0.03
+"""Overstock, as a share of the extent, above which a reading is no better one: raw parts have less"""
+_ALIKE = 1.5
+"""Readings fit alike within this ratio, and are nearer to the planes' points beyond it"""
+_FLAT = 0.01
+"""Extent of a column, as a share of the others or the reverse, below which it may be in another unit than they are"""
+_METRES = {1e-3: "mm in a column that is headed m", 1e3: "m in a column that is headed mm"}
+_UNITS = _METRES | {
+    25.4: "inches in a column that is headed mm",
+    1 / 25.4: "mm in a column that is headed inches",
+    10.0: "cm in a column that is headed mm",
+    0.1: "mm in a column that is headed cm",
+}
 _MIRROR = np.array([-1.0, 1.0, 1.0])
 
 
-def misread(nominal: Sought, measured: Array, surface: Index, start: Array, to_part: Array) -> Iterator[str]:
-    """Yield a doubt about points (n, 3) at a pose (6,) that a mirror image fits as well.
+@dataclass(frozen=True)
+class _Fit:
+    """How points fit."""
+
+    rms: float
+    """Root mean square distance from the surfaces [mm]"""
+    scatter: float
+    """Standard deviation about the level of each surface [mm]"""
+    off: float
+    """How far the points of planes are from the point that the nominal gives of each [mm]"""
+    extent: float
+    """Largest extent of the points [mm]"""
+
+    @property
+    def relative(self) -> float:
+        """Distance from the surfaces as a share of the extent: points that shrink to one place are near everything."""
+        return self.rms / self.extent
+
+    @property
+    def is_rough(self) -> bool:
+        """Whether the points scatter more than those of a raw part."""
+        return self.scatter > _ROUGH * self.extent
+
+    @property
+    def is_thin(self) -> bool:
+        """Whether the overstock is that of a raw part."""
+        return self.relative < _THICKEST
+
+
+def misread(nominal: OfSurfaces, even: Levels, start: Array) -> Iterator[str]:
+    """Yield doubts about points, with the levels of their surfaces: read otherwise, they fit as well.
 
     Raises InputError if points that are read otherwise fit far better.
     """
-    rms, off = _fit(nominal, measured, surface, to_part)
+    measured, surface = even.stock.measured, even.stock.surface
 
-    def read_so(factors: Array) -> tuple[float, float]:
+    def at(points: Array, to_part: Array) -> _Fit:
+        local = Stock(nominal, points, surface).at(to_part)
+        _, deviation = robust_step(local.rows, local.overstock, surface, len(nominal.names))
+        off = nominal.off_centre(local.points, surface)
+        return _Fit(_rms(local.overstock), _rms(deviation), off, float(extents(points).max()))
+
+    def read_with(factors: Array, seed: int = 1) -> _Fit:
         points = factors * measured
-        return _fit(nominal, points, surface, found(nominal, points, surface, start))
+        return at(points, found(nominal, points, surface, start, seed))
 
-    mirrored, nearer = read_so(_MIRROR)
-    sign = "turn the sign of one column of coordinates, or exchange two of them, whichever the file has wrong"
-    rough = _ROUGH * extents(measured).max()
-    if rms > rough:
+    given, mirrored = at(measured, even.to_part), read_with(_MIRROR)
+    if given.is_rough:
         # another search: a pose that was not found would speak against the points as they are
-        rms = min(rms, _fit(nominal, measured, surface, found(nominal, measured, surface, start, seed=2))[0])
-    if mirrored * _BETTER < rms and mirrored < rough:
+        given = min(given, read_with(np.ones(3), seed=2), key=lambda fit: fit.rms)
+    sign = "turn the sign of one column of coordinates, or exchange two of them, whichever the file has wrong"
+    # with levels of their own, opposite surfaces fit on the wrong sides; without, thick overstock hides the rest
+    rounding = 1e-6 * given.extent
+    better = max(given.rms / (mirrored.rms + rounding), given.scatter / (mirrored.scatter + rounding))
+    if better > _BETTER and mirrored.is_thin and not mirrored.is_rough:
         raise InputError(
-            f"the points are a mirror image of the part: mirrored, they lie {mirrored:.3g} mm from its surfaces (root "
-            f"mean square), and {rms:.3g} mm as they are; {sign}"
+            f"the points are a mirror image of the part: mirrored, they lie {mirrored.rms:.3g} mm from its surfaces "
+            f"(root mean square) and scatter by {mirrored.scatter:.3g} mm, as they are {given.rms:.3g} mm and "
+            f"{given.scatter:.3g} mm; {sign}"
         )
-    if rms > rough:
-        for name, columns in _COLUMNS.items():
-            for factor, unit in ((1e-3, "mm in a column that is headed m"), (1e3, "m in a column that is headed mm")):
-                factors = np.ones(3)
-                factors[list(columns)] = factor
-                other = read_so(factors)[0]
-                if other * _BETTER < rms and other < _ROUGH * extents(factors * measured).max():
-                    raise InputError(
-                        f"{name} of the points fit if they are multiplied by {factor:g}, such as {unit}: the points "
-                        f"then lie {other:.3g} mm from their surfaces (root mean square), and {rms:.3g} mm as they are"
-                    )
-    if mirrored < _NEARER * rms and nearer * _NEARER < off:
+    others = [(words, read_with(factors)) for words, factors in _other_units(measured, given.is_rough)]
+    if others:
+        words, other = min(others, key=lambda pair: pair[1].relative)
+        if other.relative * _BETTER < given.relative and other.is_thin:
+            raise InputError(
+                f"multiplied by {words}, the points fit: they then lie {other.rms:.3g} mm from their surfaces (root "
+                f"mean square), and {given.rms:.3g} mm as they are"
+            )
+        alike = [pair for pair in others if _alike_and_nearer(pair[1], given)]
+        for words, other in sorted(alike, key=lambda pair: pair[1].off)[:1]:
+            yield (
+                f"multiplied by {words}, the points fit the surfaces as well ({other.rms:.3g} mm, root mean square), "
+                f"and are nearer to the `point` of the planes ({other.off:.3g} mm) than as they are ({given.off:.3g} "
+                f"mm). Points on an opposite surface would decide"
+            )
+    if _alike_and_nearer(mirrored, given):
         yield (
-            f"a mirror image of the points fits the surfaces as well ({mirrored:.3g} mm, root mean square), and is "
-            f"nearer to the `point` of the planes ({nearer:.3g} mm) than the points as they are ({off:.3g} mm). "
-            f"If the file is wrong, {sign}. Points on an opposite surface would decide"
+            f"a mirror image of the points fits the surfaces as well ({mirrored.rms:.3g} mm, root mean square), and is "
+            f"nearer to the `point` of the planes ({mirrored.off:.3g} mm) than the points as they are ({given.off:.3g} "
+            f"mm). If the file is wrong, {sign}. Points on an opposite surface would decide"
         )
 
 
-def _fit(nominal: Sought, points: Array, surface: Index, to_part: Array) -> tuple[float, float]:
-    """Return the root mean square distance of points from their surfaces, and how far those of planes are off."""
-    placed = poses.apply(to_part, points)
-    distance = nominal.quick(placed[None], surface)[0]
-    return float(np.sqrt((distance**2).mean())), nominal.off_centre(placed, surface)
+def _other_units(measured: Array, rough: bool) -> Iterator[tuple[str, Array]]:
+    """Yield words and factors (3,) of other units: all where the fit is rough, else those of a flat column."""
+    size = np.maximum(extents(measured), 1e-9)  # a column of zeros is flat as well
+    for column, name in enumerate("xyz"):
+        others = np.delete(size, column).max()
+        for factor, unit in _METRES.items():
+            ratio = size[column] / others
+            was, would_be = (max(value, 1 / value) for value in (ratio, ratio * factor))
+            if rough or (was > 1 / _FLAT > would_be):
+                yield f"{factor:g} in {name} ({unit})", np.where(np.arange(3) == column, factor, 1.0)
+    if rough:
+        for factor, unit in _UNITS.items():
+            yield f"{factor:.4g} ({unit})", np.full(3, factor)
+
+
+def _alike_and_nearer(other: _Fit, given: _Fit) -> bool:
+    return other.relative < _ALIKE * given.relative and other.off * _ALIKE < given.off
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt((values**2).mean()))

@@ -109,13 +109,19 @@ def solve(settings: Settings, prepared: Prepared) -> FittedPart:
     open_motions = c.must_be_determined(stock, even.to_part, name)
     # points that leave a motion open fit in whatever way they are read
     other: tuple[str, ...] = ()
-    if surface is not None and not open_motions:
-        other = tuple(misread(nominal, places.points, surface, prepared.start, even.to_part))
+    if isinstance(nominal, OfSurfaces) and surface is not None and not open_motions:
+        other = tuple(misread(nominal, even, prepared.start))
     turned = reversed_surfaces(stock, nominal, even.to_part) if isinstance(nominal, OfSurfaces) else []
     highest, largest, holding = most_of_many(stock, even.to_part)
     if not c.feasible(largest, minimum):
         contradictions = c.contradictions(stock, minimum, highest)
-        hint = c.wrong_side(turned) if turned else c.all_inside(even.level, isinstance(nominal, OfMesh))
+        hint = (
+            other[0]
+            if other
+            else c.wrong_side(turned)
+            if turned
+            else c.all_inside(even.level, isinstance(nominal, OfMesh))
+        )
         raise c.refuse(contradictions, places.of(used).names, minimum, largest, hint)
     # a negative minimum allows for missing material, and surfaces without it look the same
     doubts = [c.wrong_side(turned)] if turned else []

@@ -58,7 +58,7 @@ def found(nominal: Sought, measured: Array, surface: Index | None, start: Array,
     rotations, shifts = _refined(nominal, points, labels, rotations, shifts)
     placed = _placed(points, rotations, shifts)
     distance, _ = nominal.quick(placed, labels)
-    typical = np.median(np.abs(distance), axis=1)
+    typical = _typical(distance, labels)
     alike = np.flatnonzero(typical <= _ALIKE * typical.min())
     off = np.array([nominal.off_centre(placed[number], labels) for number in alike])
     # of those next to the best off-centre distance, the one that fits best
@@ -122,6 +122,16 @@ def _placed(points: Array, rotations: Array, shifts: Array) -> Array:
     return points[None] @ np.swapaxes(rotations, 1, 2) + shifts[:, None, :]
 
 
+def _typical(distance: Array, labels: Index | None) -> Array:
+    """Return the typical distance of each pose (B,): the median, of named surfaces the mean of their medians.
+
+    A median of all points would take a part that is laid on the wrong side of one surface, if the others fit.
+    """
+    size = np.abs(distance)
+    groups = [slice(None)] if labels is None else [labels == number for number in np.unique(labels)]
+    return np.asarray(np.mean([np.median(size[:, group], axis=1) for group in groups], axis=0))
+
+
 def _refined(
     nominal: Sought, points: Array, labels: Index | None, rotations: Array, shifts: Array
 ) -> tuple[Array, Array]:
@@ -131,7 +141,7 @@ def _refined(
         placed = _placed(points, rotations, shifts)
         distance, normal = nominal.quick(placed, labels)
         if iteration == _FIRST:
-            best = np.argsort(np.median(np.abs(distance), axis=1))[: max(len(rotations) // _KEPT, 1)]
+            best = np.argsort(_typical(distance, labels))[: max(len(rotations) // _KEPT, 1)]
             rotations, shifts, placed = rotations[best], shifts[best], placed[best]
             distance, normal = distance[best], normal[best]
         centre = placed.mean(axis=1, keepdims=True)

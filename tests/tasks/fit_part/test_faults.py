@@ -47,7 +47,7 @@ def test_points(before: str, after: str, message: str, tmp_path: Path, metrocli:
 @pytest.mark.parametrize(
     ("before", "after", "message"),
     [
-        ("radius: 60 mm, ", "", "a cylinder also needs radius"),
+        ("radius: 60.0 mm, ", "", "a cylinder also needs radius"),
         ("type: plane, ", "type: plane, radius: 3 mm, ", "a plane has no radius"),
         ("normal: [-1.0, 0.0, 0.0]", "normal: [0, 0, 0]", "cannot be [0, 0, 0]"),
         ("name: left", "name: right", "two surfaces have the name 'right'"),

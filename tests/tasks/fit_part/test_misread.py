@@ -19,16 +19,22 @@ MIRRORED: dict[str, Callable[[Array], Array]] = {
     "two columns": lambda points: points[:, [2, 1, 0]],
 }
 UNITS: dict[str, Callable[[Array], Array]] = {
-    "x of the points fit if they are multiplied by 0.001": lambda points: points * [1000.0, 1.0, 1.0],
-    "x, y and z of the points fit if they are multiplied by 1000": lambda points: points / 1000.0,
+    "multiplied by 0.001 in x (mm in a column that is headed m)": lambda points: points * [1000.0, 1.0, 1.0],
+    "multiplied by 1000 (m in a column that is headed mm)": lambda points: points / 1000.0,
+    "multiplied by 25.4 (inches in a column that is headed mm)": lambda points: points / 25.4,
+    "multiplied by 0.1 (mm in a column that is headed cm)": lambda points: points * 10.0,
 }
+SMALL = 0.2
+"""Size of a small casting, of which the overstock is a larger share"""
 
 
-def written(folder: Path, change: Callable[[Array], Array], surfaces: tuple[str, ...] = (), seed: int = 71) -> Path:
+def written(
+    folder: Path, change: Callable[[Array], Array], surfaces: tuple[str, ...] = (), seed: int = 71, scale: float = 1.0
+) -> Path:
     """A job on a casting, of some of its surfaces, whose coordinates are changed in the file."""
-    made = casting(seed)
+    made = casting(seed, scale=scale)
     kept = np.isin(made.surface, surfaces or made.surface)
-    job = replace(made, points=change(made.points[kept]), surface=made.surface[kept]).write(folder)
+    job = replace(made, points=change(made.points[kept]), surface=made.surface[kept]).write(folder, scale=scale)
     if surfaces:
         part = folder / "part.yaml"
         lines = part.read_text().splitlines()
@@ -37,9 +43,12 @@ def written(folder: Path, change: Callable[[Array], Array], surfaces: tuple[str,
     return job
 
 
+@pytest.mark.parametrize("scale", [1.0, SMALL])
 @pytest.mark.parametrize("how", MIRRORED)
-def test_a_mirror_image_that_fits_far_better_is_named(how: str, tmp_path: Path, metrocli: Metrocli) -> None:
-    ran = metrocli("fit-part", written(tmp_path, MIRRORED[how]))
+def test_a_mirror_image_that_fits_far_better_is_named(
+    how: str, scale: float, tmp_path: Path, metrocli: Metrocli
+) -> None:
+    ran = metrocli("fit-part", written(tmp_path, MIRRORED[how], scale=scale))
     assert ran.code == 3 and "the points are a mirror image of the part" in ran.err, ran.err
 
 
@@ -49,11 +58,21 @@ def test_a_mirror_image_that_fits_alike_is_doubtful(how: str, tmp_path: Path, me
     assert ran.code == 6 and "a mirror image of the points fits the surfaces as well" in ran.out, ran.out
 
 
-@pytest.mark.parametrize("surfaces", [(), OPEN], ids=["whole", "open"])
+@pytest.mark.parametrize(("surfaces", "scale"), [((), SMALL), (OPEN, 1.0)], ids=["whole", "open"])
 @pytest.mark.parametrize("words", UNITS)
-def test_another_unit_is_named(words: str, surfaces: tuple[str, ...], tmp_path: Path, metrocli: Metrocli) -> None:
-    ran = metrocli("fit-part", written(tmp_path, UNITS[words], surfaces))
+def test_another_unit_is_named(
+    words: str, surfaces: tuple[str, ...], scale: float, tmp_path: Path, metrocli: Metrocli
+) -> None:
+    ran = metrocli("fit-part", written(tmp_path, UNITS[words], surfaces, scale=scale))
     assert ran.code == 3 and words in ran.err, ran.err
+
+
+@pytest.mark.parametrize(("minimum", "code"), [("0.1", 6), ("0.5", 4)])
+def test_a_flat_column_that_fits_alike_is_named(minimum: str, code: int, tmp_path: Path, metrocli: Metrocli) -> None:
+    job = written(tmp_path, lambda points: points / [1.0, 1.0, 1000.0], OPEN, scale=SMALL)
+    job.write_text(job.read_text().replace("minimum: 0.5 mm", f"minimum: {minimum} mm"))
+    ran = metrocli("fit-part", job)
+    assert ran.code == code and "multiplied by 1000 in z (m in a column that is headed mm)" in ran.out + ran.err
 
 
 @pytest.mark.alike
@@ -65,3 +84,12 @@ def test_right_coordinates_are_not_doubted(seed: int, tmp_path: Path, metrocli: 
     half = replace(ends, points=ends.points[near], surface=ends.surface[near])
     ran = metrocli("fit-part", half.write(tmp_path))
     assert ran.code == 0 and "mirror" not in ran.out + ran.err, ran.out + ran.err
+
+
+def test_a_part_is_not_laid_on_the_wrong_side_of_one_surface(tmp_path: Path, metrocli: Metrocli) -> None:
+    """Three of four surfaces fit exactly with the part beside its points, and all four nearly where it is."""
+    made = casting(1065, stock=(2.5, 5.0), angle=0.5)
+    kept = np.isin(made.surface, ("right", "top", "front", "back"))
+    job = replace(made, points=made.points[kept], surface=made.surface[kept]).write(tmp_path)
+    ran = metrocli("fit-part", job)
+    assert ran.code == 0, ran.err
