@@ -155,7 +155,7 @@ def main(arguments: list[str]) -> int:
             wanted = f"{one.form} of {' '.join(sorted(one.variables))}" if one.variables else NOTHING
             print(f"{kind} {number} {wanted} ({one.strength:.0f}): {found[-1].law}", flush=True)
         seconds = (time.process_time() - before) / len(found)
-        print(f"-- {kind}, {len(found)} measurements, {seconds:.1f} s of CPU time each")
+        print(f"-- {kind}, {len(found)} measurements of {seconds:.1f} s of CPU time")
         laws = sum(one.law[0] != "-" for one in found)
         for rate in [Rate("a law", laws, len(found), 0.0, 0.02)] if nothing else rates(found):
             print(rate, flush=True)

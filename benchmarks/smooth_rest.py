@@ -30,7 +30,7 @@ def main(arguments: list[str]) -> int:
     met = True
     for kind in kinds:
         for size in KINDS[kind].sizes:
-            print(f"-- {kind}, {count} measurements: {size}", flush=True)
+            print(f"-- {kind}, {size}, {count} measurements", flush=True)
             cases = KINDS[kind].cases(count, size, draw)
             powers = [case.power for case in cases if case.power is not None]
             if powers:

@@ -74,7 +74,7 @@ def rows(title: str, arguments: list[str]) -> Iterator[str]:
     for line in done.stdout.splitlines():
         fields = re.split(r"\s{2,}", line.strip())
         if line.startswith("-- "):
-            section = line.removeprefix("-- ").partition(",")[0].removeprefix(title.rpartition(", ")[2])
+            section = line.removeprefix("-- ").rpartition(",")[0].removeprefix(title.rpartition(", ")[2])
         elif len(fields) == 5 and fields[-1] in ("met", "NOT MET", "too few"):
             yield " | ".join([f"{section}: {fields[0]}" if section else fields[0], *fields[1:]])
             count += 1
