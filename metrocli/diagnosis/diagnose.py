@@ -133,9 +133,9 @@ def _confirmed(
         gained = gains(state, names, ordered, nested=not quick) if names else []
         judged = list(zip(state.named, names, gained, strict=False))
         nets = dict(zip((part.key for part in state.fixed), state.without_fixed().tolist(), strict=True))
-        against = [one for one in judged if one[2].log_score + (0.0 if quick else nets[one[0].key]) <= 0]
+        against = [effect for effect in judged if effect[2].log_score + (0.0 if quick else nets[effect[0].key]) <= 0]
         unsure = None if against else least_sure(state, names)
-        against = against or [one for one in judged if one[0] is unsure]
+        against = against or [effect for effect in judged if effect[0] is unsure]
         if not against:
             return state, names, gained, tuple(lost)
         lost += [

@@ -139,7 +139,7 @@ def _showing(state: State, less: State, part: Random) -> tuple[str, Mask]:
     own = part.columns.any(axis=1)
     rows = {unit: mask & own for unit, mask in state.measurement.system.rows_in_units.items()}
     change = less.residual - state.residual
-    return max(rows.items(), key=lambda one: float((change[one[1]] ** 2).sum()))
+    return max(rows.items(), key=lambda unit_rows: float((change[unit_rows[1]] ** 2).sum()))
 
 
 def _visible_at(state: State, part: Random, rows: Mask) -> float:

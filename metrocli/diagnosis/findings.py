@@ -209,9 +209,9 @@ class Diagnosis:
     @property
     def found_nothing_yet(self) -> bool:
         """Whether the time was spent before the search found anything of what is there."""
-        found = self.findings, self.scatters, self.laws, self.correlated_errors, self.unconfirmed
+        findings = self.findings, self.scatters, self.laws, self.correlated_errors, self.unconfirmed
         unreached = self.left is not None and self.left.depends_on == (UNREACHED,)
-        return self.limited is not None and not self.interrupted and unreached and not any(found)
+        return self.limited is not None and not self.interrupted and unreached and not any(findings)
 
     @property
     def verdict(self) -> Verdict:

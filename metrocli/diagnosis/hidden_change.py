@@ -195,7 +195,9 @@ def _largest(squares: Array, bounds: Array, least: float = 0.0) -> tuple[float, 
     # a direction that the readings hardly show has an eigenvalue of rounding, which can be below 0
     root = vectors / np.sqrt(np.maximum(values, _ROUNDING * values[..., -1:]))[..., None, :]
     inverse = root @ np.swapaxes(root, -1, -2)
-    traces = np.stack([(squares.reshape(k, m, q * q) @ one.reshape(k, q * q, 1))[:, :, 0] for one in inverse])
+    traces = np.stack(
+        [(squares.reshape(k, m, q * q) @ root_of_inverse.reshape(k, q * q, 1))[:, :, 0] for root_of_inverse in inverse]
+    )
     highest = traces.max(axis=2, initial=0.0)
     at_most = highest.min(axis=0)
     best = least**2, -1

@@ -133,7 +133,7 @@ def _chosen_anew(state: State) -> State:
         if state.measurement.alternative(part.key).effect.link is None:
             less = state.minus([part])
             others = (move.made(less) for move in effects(less) if move.keys != (part.key,))
-            state = max((state, *others), key=lambda one: one.score)
+            state = max((state, *others), key=lambda candidate: candidate.score)
     return state
 
 
@@ -149,12 +149,12 @@ class _Fit:
     """Of the adjustment, less the prices of the effects"""
 
     @classmethod
-    def of(cls, job: AdjustedJob, state: State, found: Gross | None, known: Gross) -> _Fit:
-        """Adjust a job; what was `found` to be gross in this round leaves only effects that it is adjusted with."""
+    def of(cls, job: AdjustedJob, state: State, gross: Gross | None, known: Gross) -> _Fit:
+        """Adjust a job; what was found to be `gross` in this round leaves only effects that it is adjusted with."""
         m = state.measurement
         # effects that are found beside a gross reading, and not adjusted yet, are perhaps its higher-order terms
         named = all_identified(state, with_rivals=False)
-        names = [name for name in named if found is None or name.alternative.spot in m.job.adjusted]
+        names = [name for name in named if gross is None or name.alternative.spot in m.job.adjusted]
         noisier = with_group_noise(job, m, known.noise)
         fit, cost = extended_fit_and_cost(noisier, names, readings_kept(m, known.readings.values()))
         price = sum(part.price for part in state.named)
@@ -165,17 +165,17 @@ class _Fit:
         return job if self.job is None else relinearised(job, self.names, self.job)
 
 
-def _fits(job: AdjustedJob, state: State, found: Gross | None, known: Gross) -> list[_Fit]:
+def _fits(job: AdjustedJob, state: State, gross: Gross | None, known: Gross) -> list[_Fit]:
     """Return a job adjusted with the effects of a state, and with another term of a lens in a place of one that is new.
 
     That is the term with which the adjustment leaves least, if it leaves less than the first. The terms of the job bend
     to take the place of one that is missing: to first order about their solution another may explain more than it.
     """
-    best = first = _Fit.of(job, state, found, known)
-    for part in _old_and_new(state)[1] if found is None else ():
+    best = first = _Fit.of(job, state, gross, known)
+    for part in _old_and_new(state)[1] if gross is None else ():
         if state.measurement.alternative(part.key).effect.link is None:
             less = state.minus([part])
-            others = (_Fit.of(job, less.plus([rival]), found, known) for rival in _terms_instead(less, part))
+            others = (_Fit.of(job, less.plus([rival]), gross, known) for rival in _terms_instead(less, part))
             best = max([best, *others], key=lambda fit: fit.score)
     return [first] if best is first else [first, best]
 
@@ -183,13 +183,13 @@ def _fits(job: AdjustedJob, state: State, found: Gross | None, known: Gross) -> 
 def _terms_instead(less: State, part: Fixed) -> list[Fixed]:
     """Return the terms of a lens that explain much of what one of them does, the best first."""
     # without random effects: a smooth shift over the image would take what the terms differ in
-    m, found = less.measurement, list[tuple[float, int, int]]()
+    m, scored = less.measurement, list[tuple[float, int, int]]()
     alone = State.of(m, less.named)
     for family in range(len(m.families)):
         gain, price, _ = alone.gains_of_family(family)
-        found += [(float(net), family, at) for at, net in enumerate(gain - price)]
-    own = next(net for net, family, at in found if (family, at) == part.key)
-    terms = ((family, at) for net, family, at in sorted(found, reverse=True) if net > _RIVAL * own > 0)
+        scored += [(float(net), family, at) for at, net in enumerate(gain - price)]
+    own = next(net for net, family, at in scored if (family, at) == part.key)
+    terms = ((family, at) for net, family, at in sorted(scored, reverse=True) if net > _RIVAL * own > 0)
     others = (key for key in terms if m.alternative(key).effect.link is None and key != part.key)
     return [m.effect(*key) for key in islice(others, _RIVALS)]
 
@@ -212,8 +212,8 @@ def searched(job: AdjustedJob, quick: bool = False) -> tuple[State, State]:
     # None once the job cannot be adjusted without what is gross
     known: Gross | None = Gross({}, {})
 
-    def ends_it(found: State) -> bool:
-        return is_overwhelmed(found) or (known is not None and known.beside(found) is not None)
+    def ends_it(other: State) -> bool:
+        return is_overwhelmed(other) or (known is not None and known.beside(other) is not None)
 
     for left in reversed(range(_ROUNDS)):
         # in the last round nothing stops the search: what dominates then is named about the solution that there is

@@ -72,16 +72,20 @@ def expressed(program: str, result: Result, within: float, posed: bool = False) 
     """
     if "camera" not in result.tables or "convention" not in result.statistics:
         raise InputError(f"a result of {result.kind} is no camera: this format takes results of calibrate-camera")
-    found = list[ExpressedCamera]()
+    cameras = list[ExpressedCamera]()
     for stated in stated_cameras(result):
         try:
             camera = _of_program(program, stated, within)
         except InputError as error:
             of = f"camera {stated.name}: " if stated.name else ""
             raise InputError([replace(fault, message=of + fault.message) for fault in error.faults]) from error
-        lost = f"the pose of {stated.name} beside {found[0].name} is not in this format" if found and not posed else ""
-        found.append(replace(camera, name=stated.name, pose=stated.pose, notes=(*camera.notes, *filter(None, [lost]))))
-    return found
+        lost = (
+            f"the pose of {stated.name} beside {cameras[0].name} is not in this format" if cameras and not posed else ""
+        )
+        cameras.append(
+            replace(camera, name=stated.name, pose=stated.pose, notes=(*camera.notes, *filter(None, [lost])))
+        )
+    return cameras
 
 
 def _of_program(program: str, stated: StatedCamera, within: float) -> ExpressedCamera:
@@ -137,7 +141,7 @@ def _splined(stated: StatedCamera, within: float) -> list[tuple[LensForm, Conver
     at, checked = (flattened(stated.direction(uv)) for uv in (dense, other))
     if not (np.isfinite(at).all() and np.isfinite(checked).all()):
         return []
-    reach, found = np.abs(at).max(axis=1), list[tuple[LensForm, Converted]]()
+    reach, models = np.abs(at).max(axis=1), list[tuple[LensForm, Converted]]()
     for columns in _COLUMNS:
         grid = StereographicGrid(columns, columns, int(np.ceil(np.degrees(4 * np.arctan(reach[0] / 2)))) + 1)
         grid = replace(grid, rows=int(np.ceil(2 * reach[1] / grid.step)) + 3)
@@ -146,10 +150,10 @@ def _splined(stated: StatedCamera, within: float) -> list[tuple[LensForm, Conver
         values = dict(zip(("fx", "fy", "cx", "cy"), (fx, fy, stated.lens["cx"], stated.lens["cy"]), strict=True))
         values |= {f"du{knot}": value for knot, value in enumerate(shifts.ravel().tolist())}
         form = LensForm(grid.name, tuple(values), stated.convention == "fisheye")
-        found.append((form, Converted(values, float(np.sqrt((gap**2).mean())), float(gap.max()))))
-        if found[-1][1].largest <= _ENOUGH * within:
+        models.append((form, Converted(values, float(np.sqrt((gap**2).mean())), float(gap.max()))))
+        if models[-1][1].largest <= _ENOUGH * within:
             break
-    return found
+    return models
 
 
 _AS_NEAR = 1.1

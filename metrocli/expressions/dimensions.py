@@ -195,17 +195,17 @@ class _Units:
         if base.unit.number:
             return base.unit
         if exponent.constant is None:
-            message = f"{self._said(base)} is raised to a power that is not a plain number"
+            message = f"{self._description(base)} is raised to a power that is not a plain number"
             raise ExpressionError(message, base.part.start, "only a plain number can have an uncertain exponent")
         power = Fraction(exponent.constant).limit_denominator(60)
         if abs(float(power) - exponent.constant) > 1e-12 or abs(power) > 20:
-            message = f"{self._said(base)} is raised to the power {exponent.constant:g}"
+            message = f"{self._description(base)} is raised to the power {exponent.constant:g}"
             raise ExpressionError(message, base.part.start, "the power of a unit is a small whole number or a fraction")
         return _to_the(base.unit, power)
 
     def _same(self, first: _Traced, second: _Traced) -> None:
         if first.unit.powers != second.unit.powers:
-            message = f"{self._said(first)}, {self._said(second)}: they cannot be added or compared"
+            message = f"{self._description(first)}, {self._description(second)}: they cannot be added or compared"
             raise ExpressionError(message, self._start(second, first), "each term of a sum has the same unit")
 
     def _start(self, second: _Traced, first: _Traced) -> int:
@@ -213,16 +213,16 @@ class _Units:
 
     def _refuse_unit(self, argument: _Traced, what: str) -> None:
         if not argument.unit.number:
-            message = f"{self._said(argument)}, but {what} is a plain number or an angle"
+            message = f"{self._description(argument)}, but {what} is a plain number or an angle"
             raise ExpressionError(message, argument.part.start, "divide it by a quantity of the same unit")
 
     def _refuse_point(self, argument: _Traced) -> None:
         if argument.unit.point:
-            message = f"{self._said(argument)}: only differences of such temperatures can be used"
+            message = f"{self._description(argument)}: only differences of such temperatures can be used"
             hint = "subtract a reference such as t0: 20 degC, or give the difference in K"
             raise ExpressionError(message, argument.part.start, hint)
 
-    def _said(self, traced: _Traced) -> str:
+    def _description(self, traced: _Traced) -> str:
         if traced.constant is not None:
             return f"{traced.constant:g} is a plain number"
         return f"'{self.expression.source(traced.part)}' is {described(traced.unit)}"

@@ -18,7 +18,7 @@ import numpy as np
 from metrocli import copies, units
 from metrocli.arrays import Array, Values
 from metrocli.errors import Fault, InputError
-from metrocli.formats.csv_columns import found, has_unit, unused
+from metrocli.formats.csv_columns import columns_in_header, has_unit, unused
 from metrocli.formats.csv_plain import PlainCells, plain_cells
 from metrocli.formats.csv_text import Raw, read_text, shortened, sound_rows
 from metrocli.formats.file_bytes import FileBytes, atomic_write
@@ -41,7 +41,7 @@ def read(path: Path, columns: Columns, shown: str = "", held: FileBytes | None =
     columns = _every(raw, columns) if columns.every else columns
     further = tuple(dict.fromkeys((*(name for name in columns.further if name in raw.header), *_tried(raw, columns))))
     columns = replace(columns, columns=(*columns.columns, *(Column(name) for name in further)))
-    places, faults = found(raw, columns)
+    places, faults = columns_in_header(raw, columns)
     complete, without_key = not faults, set[int | None]()
     values: dict[str, Values] = {}
     for column in columns.columns:

@@ -17,7 +17,7 @@ def has_unit(column: Column) -> bool:
     return column.dimension not in (TEXT, WHOLE, NUMBER)
 
 
-def found(raw: Raw, columns: Columns) -> tuple[dict[str, tuple[int, units.Unit | None]], list[Fault]]:
+def columns_in_header(raw: Raw, columns: Columns) -> tuple[dict[str, tuple[int, units.Unit | None]], list[Fault]]:
     """Return for each wanted column its index in the file and its unit, and the faults of the header."""
     faults = [
         raw.fault(f"the column '{name}' is there twice" if name else "a column has no name", raw.header_line, index)

@@ -95,12 +95,12 @@ def parsed_xml(lines: TextLines, text: str) -> ElementTree.Element:
 
 def children(lines: TextLines, element: ElementTree.Element) -> dict[str, ElementTree.Element]:
     """Return the elements in an element by their tags; raises InputError if one stands twice."""
-    found = dict[str, ElementTree.Element]()
+    by_tag = dict[str, ElementTree.Element]()
     for each in element:
-        if each.tag in found:
+        if each.tag in by_tag:
             raise InputError([lines.fault(f"{each.tag} stands twice")])
-        found[each.tag] = each
-    return found
+        by_tag[each.tag] = each
+    return by_tag
 
 
 def by_name(form: LensForm, numbers: Sequence[str]) -> dict[str, str]:
@@ -112,10 +112,10 @@ def text_after(lines: TextLines, pattern: str, text: str) -> str | None:
 
     Raises InputError if it is there twice, since it is not known which is right.
     """
-    found = list(re.finditer(pattern, text, re.MULTILINE))
-    if len(found) > 1:
-        raise InputError([lines.fault(f"{re.split('[:=]', found[1][0].strip())[0].strip()} stands twice")])
-    return found[0][1].strip().strip("'\"").strip() if found else None
+    matches = list(re.finditer(pattern, text, re.MULTILINE))
+    if len(matches) > 1:
+        raise InputError([lines.fault(f"{re.split('[:=]', matches[1][0].strip())[0].strip()} stands twice")])
+    return matches[0][1].strip().strip("'\"").strip() if matches else None
 
 
 def listed(text: str) -> list[str]:
@@ -135,11 +135,11 @@ class Keys:
         """Take the text; comments are left out, and so are the types of FileStorage."""
         self._file = lines
         self._rows = [re.sub(r"(^|\s)#.*|!!opencv-matrix", "", row).rstrip() for row in text.splitlines()]
-        self._found = [(n, match) for n, row in enumerate(self._rows) if (match := _KEY.fullmatch(row))]
+        self._keys = [(n, match) for n, row in enumerate(self._rows) if (match := _KEY.fullmatch(row))]
 
     def has(self, key: str) -> bool:
         """Return whether a key is there, a pattern that is matched in any case."""
-        return any(re.fullmatch(key, match[2], re.IGNORECASE) for _, match in self._found)
+        return any(re.fullmatch(key, match[2], re.IGNORECASE) for _, match in self._keys)
 
     def text(self, key: str, nested: bool = True) -> str | None:
         """Return what stands behind a key; None if it is not there.
@@ -163,24 +163,26 @@ class Keys:
         inner = Keys(self._file, body)
         if inner._place("data") is None:
             return _entries(body)
-        found = inner.entries("data")
+        numbers = inner.entries("data")
         sides = {side: text for side in ("rows", "cols") if is_number(text := inner.text(side) or "")}
         whole = math.prod(map(float, sides.values()))
         # a file that ends too early may have one of them
-        if found and (not whole or len(found) % whole or (len(sides) == 2 and len(found) != whole)):
+        if numbers and (not whole or len(numbers) % whole or (len(sides) == 2 and len(numbers) != whole)):
             stated = " and ".join(f"{side} {text}" for side, text in sides.items())
-            raise InputError([self._file.fault(f"{place[1][2]} has {len(found)} numbers", None, f"it states {stated}")])
-        return found
+            raise InputError(
+                [self._file.fault(f"{place[1][2]} has {len(numbers)} numbers", None, f"it states {stated}")]
+            )
+        return numbers
 
     def _place(self, key: str, nested: bool = True) -> tuple[int, re.Match[str]] | None:
-        found = [
+        matches = [
             (n, match)
-            for n, match in self._found
+            for n, match in self._keys
             if re.fullmatch(key, match[2], re.IGNORECASE) and (nested or not match[1])
         ]
-        if len(found) > 1:
-            raise InputError([self._file.fault(f"{found[1][1][2]} stands twice")])
-        return found[0] if found else None
+        if len(matches) > 1:
+            raise InputError([self._file.fault(f"{matches[1][1][2]} stands twice")])
+        return matches[0] if matches else None
 
     def _below(self, row: int, match: re.Match[str]) -> list[str]:
         """Return the lines that belong to a key: indented farther, entries of a list, or within its brackets."""

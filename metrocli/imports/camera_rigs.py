@@ -58,12 +58,12 @@ def poses_of(parts: Mapping[str, CameraPart], rigs: TextLines | None, unit: str)
     """
     programs = {part.program for part in parts.values()}
     read = _READERS.get(programs.pop()) if len(programs) == 1 else None
-    found = read(parts, rigs) if read is not None and len(parts) > 1 else {}
-    if not any(found.values()):
+    stated_poses = read(parts, rigs) if read is not None and len(parts) > 1 else {}
+    if not any(stated_poses.values()):
         return None
     to_camera, before = dict[str, Array](), np.zeros(6)
     for name, part in parts.items():
-        stated = found[name]
+        stated = stated_poses[name]
         if stated is None and to_camera:
             hint = f"expected where {name} is beside {next(iter(parts))}"
             raise InputError([part.lines.fault(f"the file has no pose of the camera {name}", None, hint)])
@@ -106,7 +106,7 @@ Stated = dict[str, "list[str] | None"]
 
 
 def _of_kalibr(parts: Mapping[str, CameraPart], rigs: TextLines | None) -> Stated:
-    found: Stated = {}
+    stated_poses: Stated = {}
     for name, part in parts.items():
         rows = re.search(r"^[ \t]*T_cn_cnm1\s*:((?:[^:\n]*(?:\n|$))*)", part.text, re.MULTILINE)
         numbers = (
@@ -119,10 +119,10 @@ def _of_kalibr(parts: Mapping[str, CameraPart], rigs: TextLines | None) -> State
         if rows and (len(numbers) != 16 or not _is_last(numbers[12:])):
             message = f"T_cn_cnm1 of {name} has {len(numbers)} numbers"
             raise InputError([part.lines.fault(message, None, "expected 4 rows of 4, the last 0 0 0 1")])
-        found[name] = (
+        stated_poses[name] = (
             [*(numbers[4 * row + k] for row in range(3) for k in range(3)), *numbers[3:12:4]] if rows else None
         )
-    return found
+    return stated_poses
 
 
 def _is_last(row: Sequence[str]) -> bool:
@@ -130,7 +130,7 @@ def _is_last(row: Sequence[str]) -> bool:
 
 
 def _of_mrcal(parts: Mapping[str, CameraPart], rigs: TextLines | None) -> Stated:
-    found: Stated = {}
+    stated_poses: Stated = {}
     for name, part in parts.items():
         text = text_after(part.lines, r"'(?:extrinsics|rt_cam_ref)'\s*:\s*\[([^\]]*)\]", part.text)
         numbers = listed(text or "")
@@ -138,27 +138,27 @@ def _of_mrcal(parts: Mapping[str, CameraPart], rigs: TextLines | None) -> Stated
             hint = "expected 6 numbers: rotation vector and shift"
             raise InputError([part.lines.fault(f"extrinsics is {text}", None, hint)])
         turn = rotation_from_vector(np.array([float(number) for number in numbers[:3]]))
-        found[name] = [*map(repr, turn.ravel().tolist()), *numbers[3:]]
+        stated_poses[name] = [*map(repr, turn.ravel().tolist()), *numbers[3:]]
     # cameras that were calibrated alone are all at the reference
-    return found if len({tuple(names or ()) for names in found.values()}) > 1 else {}
+    return stated_poses if len({tuple(names or ()) for names in stated_poses.values()}) > 1 else {}
 
 
 def _of_opencv(parts: Mapping[str, CameraPart], rigs: TextLines | None) -> Stated:
-    found: Stated = {}
+    stated_poses: Stated = {}
     for name, part in parts.items():
         keys = Keys(part.lines, part.text)
         stated = [*keys.entries("R"), *keys.entries("T")] if part.paired in (None, 1) else []
-        found[name] = stated or None
-    return found
+        stated_poses[name] = stated or None
+    return stated_poses
 
 
 def _of_colmap(parts: Mapping[str, CameraPart], rigs: TextLines | None) -> Stated:
     if rigs is None:
         return {}
-    found: Stated = dict.fromkeys(parts)
+    stated_poses: Stated = dict.fromkeys(parts)
     for number, line in rigs.without("#"):
         _, _, kind, first, *rest = line.split()
-        found = {f"camera-{first}": None, **found}
+        stated_poses = {f"camera-{first}": None, **stated_poses}
         while rest:
             kind, sensor, posed, *rest = rest if len(rest) > 2 else ["", "", ""]
             quaternion, shift, rest = (rest[:4], rest[4:7], rest[7:]) if posed == "1" else ([], [], rest)
@@ -169,9 +169,9 @@ def _of_colmap(parts: Mapping[str, CameraPart], rigs: TextLines | None) -> State
             w, *vector = np.array([float(each) for each in quaternion]) / np.linalg.norm([float(q) for q in quaternion])
             half = float(np.linalg.norm(vector))
             axis = np.array(vector) * (2 * np.arctan2(half, w) / half if half else 2.0)
-            found[name] = [*map(repr, rotation_from_vector(axis).ravel().tolist()), *shift]
+            stated_poses[name] = [*map(repr, rotation_from_vector(axis).ravel().tolist()), *shift]
         break
-    return {name: found[name] for name in parts}
+    return {name: stated_poses[name] for name in parts}
 
 
 _READERS: Mapping[str, Callable[[Mapping[str, CameraPart], TextLines | None], Stated]] = {

@@ -104,12 +104,12 @@ def _parts(lines: TextLines, program: str, text: str) -> dict[str, str]:
     Raises InputError if a camera stands twice, and for text that is not the XML of its program.
     """
     if program == "kalibr":
-        before, *found = re.split(r"^(cam[0-9]+)\s*:", text, flags=re.MULTILINE)
-        names = found[::2]
+        before, *named_parts = re.split(r"^(cam[0-9]+)\s*:", text, flags=re.MULTILINE)
+        names = named_parts[::2]
         if names and ("intrinsics" in before or len(set(names)) < len(names)):
             message = "a camera without its name, or with that of another"
             raise InputError([lines.fault(message, None, "expected cam0, cam1, ...")])
-        return dict(zip(names, found[1::2], strict=True)) or {"": text}
+        return dict(zip(names, named_parts[1::2], strict=True)) or {"": text}
     if program == "colmap":
         return _rows(lines)
     if program == "metashape":
@@ -148,14 +148,14 @@ def _sensors(lines: TextLines, text: str) -> dict[str, str]:
     root = parsed_xml(lines, text)
     if root.tag == "calibration":
         return {"": text}
-    found = dict[str, ElementTree.Element]()
+    calibrations = dict[str, ElementTree.Element]()
     for sensor in root.iter("sensor"):
         name = f"{re.sub(r'[^0-9A-Za-z.-]+', '-', sensor.get('label') or 'sensor')}-{sensor.get('id')}"
         for each in sorted(sensor.iter("calibration"), key=lambda each: each.get("class") != "initial"):
-            found[name] = each
+            calibrations[name] = each
     alone = root.find(".//calibration")
-    found = found or ({"": alone} if alone is not None else {})
-    return {name: ElementTree.tostring(each, encoding="unicode") for name, each in found.items()} or {"": text}
+    calibrations = calibrations or ({"": alone} if alone is not None else {})
+    return {name: ElementTree.tostring(each, encoding="unicode") for name, each in calibrations.items()} or {"": text}
 
 
 def _written(part: CameraPart) -> str:

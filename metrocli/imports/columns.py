@@ -144,7 +144,7 @@ def _table(spec: object) -> Columns | None:
         columns: Columns = spec.columns
         return columns
     parts = spec.specs if isinstance(spec, Either) else ()
-    return next((found for part in parts if (found := _table(part)) is not None), None)
+    return next((table for part in parts if (table := _table(part)) is not None), None)
 
 
 def _source(placed: LocatedValue) -> ColumnSource:

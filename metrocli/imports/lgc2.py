@@ -148,7 +148,7 @@ class _NetworkFile:
 
     def _flags(self, number: int, words: list[str]) -> dict[str, str]:
         """Return the flags of a line with their values; those without one have an empty text."""
-        found, rest = dict[str, str](), list(words)
+        flags, rest = dict[str, str](), list(words)
         while rest:
             name = rest.pop(0).upper()
             value = rest.pop(0) if name in (*_NUMBERS, *_TEXTS) and rest else ""
@@ -156,8 +156,8 @@ class _NetworkFile:
                 text = f"{name} has the value '{value}'"
                 self.faults.append(self.lines.fault(text, number, f"expected: {name} and a number"))
                 value = "0"
-            found[name] = value
-        return found
+            flags[name] = value
+        return flags
 
     def _target(self, number: int, words: list[str]) -> bool:
         if len(words) < 11 or not all(map(is_number, words[1:11])):

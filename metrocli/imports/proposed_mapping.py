@@ -78,17 +78,17 @@ def proposed(lines: TextLines) -> str:
     yaml = "YAML" if nested and 2 * sum(map(bool, keys)) > len(keys) else None
     if name := _KEYED.get(plain[0][1].strip()[0], yaml):
         raise InputError([lines.fault(f"this is {name} that no format of `import --from` has", plain[0][0])])
-    found = max((_longest(sign, plain) for sign in SEPARATORS.values()), key=lambda rows: (rows.numbers, rows.whole))
-    if not found.numbers:
+    table = max((_longest(sign, plain) for sign in SEPARATORS.values()), key=lambda rows: (rows.numbers, rows.whole))
+    if not table.numbers:
         hint = "expected rows with the same number of cells, separated by comma, semicolon, tab or space"
         raise InputError([lines.fault("this is no table of numbers", plain[0][0], hint)])
-    first = next(place for place, (_, cells) in enumerate(found.rows) if any(map(_is_number, cells)))
-    data, names = found.rows[first:], found.rows[first - 1][1] if first else ()
-    before = [(n, line) for n, line in plain if n < found.rows[0][0] and not names]
-    after = [n for n, _ in plain if n > found.rows[-1][0]]
+    first = next(place for place, (_, cells) in enumerate(table.rows) if any(map(_is_number, cells)))
+    data, names = table.rows[first:], table.rows[first - 1][1] if first else ()
+    before = [(n, line) for n, line in plain if n < table.rows[0][0] and not names]
+    after = [n for n, _ in plain if n > table.rows[-1][0]]
     mark = _comment([line for _, line in before])
     decimal, thousands = _signs([cell for _, row in data[:_LOOKED_AT] for cell in row if _is_number(cell)])
-    word = next(name for name, sign in SEPARATORS.items() if sign == found.separator)
+    word = next(name for name, sign in SEPARATORS.items() if sign == table.separator)
     return "\n".join(
         [
             f"# mapping for {lines.file}: name job, input, each QUANTITY and UNIT; delete columns that no job reads",
@@ -100,7 +100,7 @@ def proposed(lines: TextLines) -> str:
             f"separator: {word}",
             f"decimal: {decimal}",
             *([f"thousands: {thousands}"] if thousands else []),
-            f"header: {found.rows[first - 1][0] if names else 'none'}",
+            f"header: {table.rows[first - 1][0] if names else 'none'}",
             *([f'comment: "{mark}"'] if mark else []),
             "columns:",
             *_columns(names, data[0][1]),
@@ -112,7 +112,7 @@ def _longest(separator: str, kept: Sequence[tuple[int, str]]) -> _EqualRows:
     """Return those rows of a file with the most numbers that follow each other with the same number of cells."""
     rows = [(number, cells_of(line, separator)) for number, line in kept]
     runs = [list(run) for _, run in groupby(rows, key=lambda row: len(row[1]))]
-    return max((_EqualRows(separator, run, len(runs) == 1) for run in runs), key=lambda found: found.numbers)
+    return max((_EqualRows(separator, run, len(runs) == 1) for run in runs), key=lambda run: run.numbers)
 
 
 def _removed(first: int, last: int) -> str:
@@ -139,8 +139,8 @@ def _columns(names: Sequence[str], sample: Sequence[str]) -> Iterator[str]:
     for place, cell in enumerate(sample, 1):
         name = names[place - 1] if names else ""
         source = f"{{column: {place}, unit: {_unit(name) or 'UNIT'}}}" if _is_number(cell) else f"{{column: {place}}}"
-        said = "" if not _is_number(cell) or _unit(name) else "; the file states no unit"
-        yield f"  QUANTITY{place}: {source}  # {f'{name}, ' if name else ''}e.g. {cell}{said}"
+        remark = "" if not _is_number(cell) or _unit(name) else "; the file states no unit"
+        yield f"  QUANTITY{place}: {source}  # {f'{name}, ' if name else ''}e.g. {cell}{remark}"
 
 
 def _is_number(cell: str) -> bool:

@@ -135,11 +135,11 @@ def missing(inputs: Iterable[Input], not_needed: Collection[str], made: Collecti
             if path.is_file() or item.key in not_needed or absolute(path) in made:
                 continue
             place = places[n] if len(places) == len(item.paths) else item.node
-            faults.append(place.fault(f"{item.node.path}: {_found(path)}: {path}", _missing_hint(path)))
+            faults.append(place.fault(f"{item.node.path}: {_what_stands_at(path)}: {path}", _missing_hint(path)))
     return faults
 
 
-def _found(path: Path) -> str:
+def _what_stands_at(path: Path) -> str:
     """Return, in words, what stands where a file is expected."""
     if path.is_dir():
         return "a folder, not a file"

@@ -161,11 +161,11 @@ def _elsewhere(result: Result) -> Result:
     """Return a result that is doubtful where its places are not those that its files list."""
     if result.list_offset <= 1:
         return result
-    told = (
+    doubt = (
         f"its places lie {result.list_offset:.1f} times as far from those that its files list as is plausible: a list "
         "is wrong, such as rows in another order, and no other unit or axis mends it"
     )
-    return replace(result, doubts=(*result.doubts, told))
+    return replace(result, doubts=(*result.doubts, doubt))
 
 
 def _with_other_setting(result: Result, adjustment: Adjustment | None, others: Others, fits: bool) -> Result:
@@ -178,8 +178,8 @@ def _with_other_setting(result: Result, adjustment: Adjustment | None, others: O
     if mistaken is None:
         return result
     (wrong,), better = mistaken.mistakes, (mistaken.before / mistaken.after) ** 2
-    told = f"{wrong}: read so, the squared residuals are {better:.2g} times smaller; write {wrong.write}"
-    return replace(result, doubts=(*result.doubts, told))
+    doubt = f"{wrong}: read so, the squared residuals are {better:.2g} times smaller; write {wrong.write}"
+    return replace(result, doubts=(*result.doubts, doubt))
 
 
 def content(file: JobFile, absent: Collection[str] = ()) -> Job[Any, Any]:

@@ -60,7 +60,7 @@ class Loop:
     last: Diagnosis
     extensions: tuple[Extension, ...]
     end: End
-    found: tuple[str, ...] = ()
+    pending: tuple[str, ...] = ()
     """What an interrupted diagnosis had found and would have added"""
 
 

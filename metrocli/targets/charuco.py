@@ -36,7 +36,7 @@ def find(pattern: Pattern, picture: Picture) -> FoundTargets:
     seen = eight_bit(picture)
     corners, ids, _, markers = cv2.aruco.CharucoDetector(_board(pattern)).detectBoard(seen)
     if ids is None or len(ids) < FEWEST:
-        count, shown = (0 if found is None else len(found) for found in (ids, markers))
+        count, shown = (0 if array is None else len(array) for array in (ids, markers))
         hint = "check columns, rows and dictionary" if shown else "check the dictionary, or is there no board?"
         message = f"no ChArUco board: {count} corners found, {FEWEST} are needed"
         return nothing(f"{message}; {shown} markers of {pattern.dictionary} are found: {hint}")

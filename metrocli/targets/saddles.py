@@ -229,9 +229,9 @@ def _fit_all(
     down, right = np.gradient(corners, axis=(0, 1))
     start, across = corners.reshape(-1, 2), np.stack([right, down], axis=-1).reshape(-1, 2, 2)
     bend, states, sigma = curvature.reshape(-1, 2), states.reshape(len(start), -1), np.empty(len(start))
-    found = np.empty_like(states)
+    fitted = np.empty_like(states)
     for first in range(0, len(start), _AT_ONCE):
         own = slice(first, first + _AT_ONCE)
         windows = _Windows.of(picture, start[own], across[own], bend[own], window)
-        found[own], sigma[own] = _fitted(windows, states[own], still)
-    return found.reshape(*corners.shape[:2], -1), sigma.reshape(corners.shape[:2])
+        fitted[own], sigma[own] = _fitted(windows, states[own], still)
+    return fitted.reshape(*corners.shape[:2], -1), sigma.reshape(corners.shape[:2])

@@ -54,11 +54,11 @@ def run(plan: TrialsPlan, workers: Workers, digits: int = 2, most: int = 0) -> M
     chunks = math.ceil(plan.trials / plan.chunk)
     if plan.trials <= _kept(plan):
         work, numbers = Work(plan, 1), range(chunks)
-        return _gathered(plan, list(_told(workers.ordered(work, numbers), workers, len(numbers))))
+        return _gathered(plan, list(_with_progress(workers.ordered(work, numbers), workers, len(numbers))))
     work = Work(plan, CHUNKS_OF_A_BATCH, _edges(plan))
     numbers = range(math.ceil(chunks / work.chunks))
     total: Batch | None = None
-    for batch in _told(_resumed(work, workers, numbers), workers, len(numbers)):
+    for batch in _with_progress(_resumed(work, workers, numbers), workers, len(numbers)):
         total = batch if total is None else _both(total, batch)
     assert total is not None
     workers.finished.clear()
@@ -70,7 +70,7 @@ def _kept(plan: TrialsPlan) -> int:
     return min(KEPT, KEPT_VALUES // len(plan.models))
 
 
-def _told(batches: Iterator[Batch], workers: Workers, of: int | None) -> Iterator[Batch]:
+def _with_progress(batches: Iterator[Batch], workers: Workers, of: int | None) -> Iterator[Batch]:
     for done, batch in enumerate(batches, 1):
         yield batch
         workers.tell(done, of)
@@ -150,7 +150,7 @@ def _adaptive(plan: TrialsPlan, workers: Workers, digits: int, most: int) -> Mon
     kept: list[Batch] = []
     converged = False
     numbers = range(max(min(most, _kept(plan)) // plan.chunk, 2))
-    for batch in _told(workers.ordered(Work(plan, 1), numbers), workers, None):
+    for batch in _with_progress(workers.ordered(Work(plan, 1), numbers), workers, None):
         kept.append(batch)
         # a standard deviation over chunks needs two of them
         if len(kept) > 1 and _small(_tally(kept), np.concatenate([batch.spread for batch in kept]), plan.units, digits):
@@ -165,7 +165,7 @@ def _adaptive(plan: TrialsPlan, workers: Workers, digits: int, most: int) -> Mon
     first = len(kept)
     del kept
     later = itertools.takewhile(lambda n: (first + n * 10) * plan.chunk < most, itertools.count())
-    for batch in _told(workers.ordered(_Later(Work(plan, 10, edges), first), later), workers, None):
+    for batch in _with_progress(workers.ordered(_Later(Work(plan, 10, edges), first), later), workers, None):
         total = _both(total, batch)
         if _small(total.tally, total.spread, plan.units, digits):
             return _outcome(plan, total, edges)

@@ -323,7 +323,7 @@ def test_what_blocks_change_is_that_of_whole_matrices(lengths_in_time: ClusterRo
         total += np.outer(x[first:], x[first:])
     still = motions[first:]
     without = np.eye(len(still)) - still @ np.linalg.pinv(still)
-    stated = found.sample.root @ found.sample.found @ found.sample.root.T
+    stated = found.sample.root @ found.sample.empirical @ found.sample.root.T
     expected = without @ total @ without.T
     size = np.sqrt(np.diag(expected).max())
     assert abs(without @ stated @ without.T - expected).max() < 1e-4 * size**2

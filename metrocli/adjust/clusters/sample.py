@@ -106,7 +106,7 @@ class ClusterSample:
         return float(sum((cluster.seen.sizes**2).sum() for cluster in self.clusters))
 
     @cached_property
-    def found(self) -> Array:
+    def empirical(self) -> Array:
         """The covariance that the errors of the clusters give as they are, `sum change change'` (CR2)."""
         changes = np.array([cluster.change for cluster in self.clusters])
         return np.asarray(changes.T @ changes)
@@ -114,7 +114,7 @@ class ClusterSample:
     @cached_property
     def factors(self) -> tuple[float, ...]:
         """How many times the expected variance the clusters have, on average over each part."""
-        levels, target = np.diag(self.found), np.diag(self.target)
+        levels, target = np.diag(self.empirical), np.diag(self.target)
         return tuple(
             float(levels[part].sum() / target[part].sum()) if target[part].sum() > 0 else 1.0 for part in self.parts
         )
@@ -122,7 +122,7 @@ class ClusterSample:
     @cached_property
     def factor(self) -> float:
         """How many times the variance of white noise the clusters have, on average over all parts."""
-        return float(np.trace(self.found) / self.white)
+        return float(np.trace(self.empirical) / self.white)
 
     @property
     def of_own(self) -> float:
@@ -150,13 +150,13 @@ class ClusterSample:
         """Share of that shape in the covariance (Ledoit and Wolf 2004)."""
         squares, m = np.array([cluster.change @ cluster.change for cluster in self.clusters]), len(self.clusters)
         # sum over clusters of |z z' - S/m|^2, which is what the mean of so many outer products scatters by
-        scatter = float((squares**2).sum() - (self.found**2).sum() / m)
-        apart = float(((self.found - self.shape) ** 2).sum())
+        scatter = float((squares**2).sum() - (self.empirical**2).sum() / m)
+        apart = float(((self.empirical - self.shape) ** 2).sum())
         return min(scatter / apart, 1.0) if apart > 0 else 1.0
 
     def coordinates(self) -> Array:
         """Return the covariance of the coordinates: shrunk, with the priors, and in no direction below 1."""
-        matrix = (1 - self.share) * self.found + self.share * self.shape + self.prior + self.of_own * self.alone
+        matrix = (1 - self.share) * self.empirical + self.share * self.shape + self.prior + self.of_own * self.alone
         values, vectors = np.linalg.eigh(matrix)
         # 1 is the covariance for independent errors in these coordinates: no standard uncertainty falls below it
         return np.asarray((vectors * np.maximum(values, 1.0)) @ vectors.T)

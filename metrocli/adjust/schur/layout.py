@@ -46,9 +46,9 @@ def arrange(blocks: Mapping[str, Block], groups: Sequence[Group]) -> Layout:
 
     It is the block with the most unknowns in members of which no reading uses two.
     """
-    found = [(block, tied_members(block, groups)) for block in blocks.values() if len(block.members) > 1]
+    candidates = [(block, tied_members(block, groups)) for block in blocks.values() if len(block.members) > 1]
     # tied members in the elimination would make D no longer block-diagonal
-    apart = [(_alone(block, tied), block, tied) for block, tied in found if tied is not None]
+    apart = [(_alone(block, tied), block, tied) for block, tied in candidates if tied is not None]
     nothing = np.zeros((0, 0), dtype=bool), None, np.zeros(0, dtype=np.intp)
     alone, eliminated, tied = max(apart, key=lambda candidate: int(candidate[0].sum()), default=nothing)
     if eliminated is None or not alone.any():

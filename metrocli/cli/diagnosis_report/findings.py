@@ -155,7 +155,7 @@ def _mistake(diagnosis: Diagnosis) -> Iterator[str]:
 def _wrong(outliers: tuple[Outlier, ...]) -> Iterator[str]:
     """Yield the table of wrong readings, each with those that are as likely to be the wrong one."""
     shown = outliers[: _SHOWN * _DESCRIBED]
-    rows = [("/".join(one.keys.values()), f"{one.test:.1f} sigma", _others(one)) for one in shown]
+    rows = [("/".join(outlier.keys.values()), f"{outlier.test:.1f} sigma", _others(outlier)) for outlier in shown]
     yield from text_table(("wrong reading", "error", "or instead"), rows)
     if len(outliers) > len(rows):
         yield f"... {len(outliers) - len(rows)} more"

@@ -19,7 +19,7 @@ def of_loop(loop: Loop) -> str:
     rows = [_row(number, extension, loop.first) for number, extension in enumerate(loop.extensions, 1)]
     table = "\n".join(text_table(_HEAD, rows)) if rows else ""
     jobs = "\n".join(f"  {extension.job} -> {extension.done.path}" for extension in loop.extensions)
-    left = f"; found so far, and not added: {', '.join(loop.found)}" if loop.found else ""
+    left = f"; found so far, and not added: {', '.join(loop.pending)}" if loop.pending else ""
     return "\n\n".join(filter(None, (f"verdict: {headline(loop.last)}", table, jobs, f"ended: {loop.end}{left}")))
 
 

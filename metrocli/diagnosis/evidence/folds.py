@@ -46,8 +46,8 @@ def gains(state: State, names: Sequence[IdentifiedEffect], ordered: Ordered = ma
     chosen (docs/decisions/270-effects-predict-with-their-probability.md). What is not `nested` has all effects in each
     fold, which takes a third of the time and flatters, most where readings are few.
     """
-    found = [*ordered(_Nested(state, tuple(names), nested), fold_numbers(state.measurement))]
-    gained = [gain_of(pairs) for pairs in zip(*found, strict=True)]
+    by_fold = [*ordered(_Nested(state, tuple(names), nested), fold_numbers(state.measurement))]
+    gained = [gain_of(pairs) for pairs in zip(*by_fold, strict=True)]
     # one effect alone is all of them together
     return gained if len(names) > 1 else [*gained, *gained]
 
@@ -101,10 +101,10 @@ class _Nested:
         """Of each effect, which alternatives of each family are it or its rivals."""
         families = self.state.measurement.families
         spots = {
-            name.key: {name.alternative.spot, *(one.alternative.spot for one in name.rivals)} for name in self.names
+            name.key: {name.alternative.spot, *(rival.alternative.spot for rival in name.rivals)} for name in self.names
         }
         return {
-            key: [np.array([one.spot in own for one in family.alternatives]) for family in families]
+            key: [np.array([alternative.spot in own for alternative in family.alternatives]) for family in families]
             for key, own in spots.items()
         }
 
@@ -143,7 +143,8 @@ def gain_of_parts(state: State, parts: Sequence[Fixed | Random]) -> Gain:
 def gain_between(before: State, after: State) -> Gain:
     """Return the gain of one state over another, at the sizes that each has."""
     both = (
-        [Others.of_fold(one, number).predicted() for number in fold_numbers(one.measurement)] for one in (before, after)
+        [Others.of_fold(state, number).predicted() for number in fold_numbers(state.measurement)]
+        for state in (before, after)
     )
     return gain_of([*zip(*both, strict=True)])
 
@@ -160,7 +161,7 @@ def with_jackknife(state: State, effects: Sequence[IdentifiedEffect]) -> tuple[I
     1 (docs/decisions/269-uncertainties-by-units-left-out.md).
     """
     factors = _factors(state) if effects else {}
-    return tuple(replace(one, covariance=one.covariance * factors.get(one.key, 1.0)) for one in effects)
+    return tuple(replace(effect, covariance=effect.covariance * factors.get(effect.key, 1.0)) for effect in effects)
 
 
 def least_sure(state: State, effects: Sequence[IdentifiedEffect]) -> Fixed | None:
@@ -172,7 +173,7 @@ def least_sure(state: State, effects: Sequence[IdentifiedEffect]) -> Fixed | Non
     unsure = {effect.key for effect in effects if effect.level_of_size > LEVEL} & _collinear(state)
     nets = zip(state.without_fixed().tolist(), state.fixed, strict=True) if unsure else ()
     own = [(net, part) for net, part in nets if part.sort == EFFECT and part.key in unsure]
-    return min(own, key=lambda one: one[0])[1] if own else None
+    return min(own, key=lambda pair: pair[0])[1] if own else None
 
 
 def surely(state: State) -> State:
@@ -213,8 +214,8 @@ def _factors(state: State) -> dict[Key, float]:
     factors = {}
     for key, each in squares.items():
         if len(each) >= _FEWEST:
-            found, expected = np.sum(each, axis=0) * (len(each) - 1) / len(each)
-            factors[key] = max(found / state.variance / max(1.0, expected / _RATHER_LARGE), 1.0)
+            scatter, expected = np.sum(each, axis=0) * (len(each) - 1) / len(each)
+            factors[key] = max(scatter / state.variance / max(1.0, expected / _RATHER_LARGE), 1.0)
     return factors
 
 

@@ -45,7 +45,7 @@ def process_bases(job: AdjustedJob, system: Linearised) -> Iterator[Functions]:
     """Yield the functions of each covariate, independent in the units of each kind, and one for all readings."""
     first = job.model.readings[0].name
     # those of several coordinates need the most memory while they are made: nothing else is held yet
-    for covariate in sorted(job.smooth_covariates, key=lambda one: -len(np.atleast_2d(one.values[first]))):
+    for covariate in sorted(job.smooth_covariates, key=lambda covariate: -len(np.atleast_2d(covariate.values[first]))):
         for by in (*job.units, *([] if covariate.of_units else [""])):
             basis = _basis(job, system, covariate, by)
             if basis is not None:

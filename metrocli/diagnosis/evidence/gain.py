@@ -82,7 +82,7 @@ def gain_of(pairs: Sequence[tuple[Held, Held]]) -> Gain:
     spread = float(differences.std(ddof=1)) if len(differences) > 1 else float("inf")
     # of both sides, so that the two errors are those of the same readings
     kept = [np.maximum(before.variances, after.variances) <= PREDICTED for before, after in pairs]
-    found = []
+    statistics = []
     for side in zip(*pairs, strict=True):
         errors, scale, shares = (
             np.concatenate([getattr(held, name)[own] for held, own in zip(side, kept, strict=True)])
@@ -94,8 +94,8 @@ def gain_of(pairs: Sequence[tuple[Held, Held]]) -> Gain:
         rms = float(np.sqrt((reported**2).sum() / max(float(shares[alike].sum()), 1e-9)))
         median = float(np.median(np.abs(reported))) if reported.size else 0.0
         # errors of different units are compared in their standard deviations
-        found.append((rms, median, rms if alike.all() else float(np.sqrt((errors**2).sum()))))
-    (rms, median, size), (rms_after, median_after, size_after) = found
+        statistics.append((rms, median, rms if alike.all() else float(np.sqrt((errors**2).sum()))))
+    (rms, median, size), (rms_after, median_after, size_after) = statistics
     ratio = size_after / size if size > 0 else 1.0
     # the spread of a sum of as many folds, each with that of one
     std = spread * float(np.sqrt(len(differences)))

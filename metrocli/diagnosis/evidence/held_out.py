@@ -135,11 +135,11 @@ class Others:
     def of_fold(cls, state: State, number: int) -> Others:
         """Return them for a fold by its number, computed once for a state of few columns."""
         fold, key = Fold(state.measurement, np.flatnonzero(folds_of(state.measurement) == number)), ("others", number)
-        found = state.held.get(key) or cls.of(fold, state)
-        if found.without.shared.size + found.fit.lower.size < _MOST_HELD:
-            state.held[key] = found
+        others = state.held.get(key) or cls.of(fold, state)
+        if others.without.shared.size + others.fit.lower.size < _MOST_HELD:
+            state.held[key] = others
         # with a cache of its own: what it holds of candidates is not kept
-        return replace(found, held={})
+        return replace(others, held={})
 
     def with_fixed(self, fixed: Sequence[Fixed]) -> Others:
         """Return them with fixed parts, of which some may not be in the state."""
@@ -168,10 +168,10 @@ class Others:
         # ln p(held | others) = ln p(all) - ln p(others), at the same sizes of the random parts
         others = _log_marginal(self.fit, self._ranks) - self.without.log_det / 2
         spared = np.zeros(m.system.rows, dtype=bool)
-        for one in self.fixed:
-            if one.is_reading:
+        for part in self.fixed:
+            if part.is_reading:
                 # a reading that is named wrong would be predicted badly by any model
-                spared[m.places[one.number][m.places[one.number] >= 0]] = True
+                spared[m.places[part.number][m.places[part.number] >= 0]] = True
         if self.fold.whole:
             # predicted but for the local unknowns, and the errors of single members, which only these rows show
             errors = self.without.shared[:, -1] - self.without.shared[:, self.columns] @ self.fit.sizes
@@ -251,7 +251,7 @@ def _directions(basis: Basis, rows: Index) -> tuple[Array, csr_matrix]:
         root = vectors * np.where(left > _SHOWN, left, np.inf)[:, None] ** -0.5 @ np.swapaxes(vectors, 1, 2)
         places.append((np.repeat(at, at.shape[1], axis=1).ravel(), np.tile(at, at.shape[1]).ravel()))
         values.append(root.ravel())
-    numbers = tuple(np.concatenate(one) for one in zip(*places, strict=True))
+    numbers = tuple(np.concatenate(indices) for indices in zip(*places, strict=True))
     turn = csr_matrix((np.concatenate(values), numbers), shape=(len(rows), len(rows)))
     unit = csr_matrix((np.ones(len(rows)), (rows, every)), shape=(len(basis.local), len(rows)))
     return ((unit - basis.sparse @ basis.sparse[rows].T) @ turn).toarray(), turn
@@ -271,7 +271,9 @@ def _beside_members(state: State) -> Array:
     if "beside members" not in state.held:
         m = state.measurement
         unknowns = [m.system.basis.shared] if state.members_are_free else []
-        every = np.concatenate([*unknowns, *(one for _, one in state.parts), m.system.residual[:, None]], axis=1)
+        every = np.concatenate(
+            [*unknowns, *(columns for _, columns in state.parts), m.system.residual[:, None]], axis=1
+        )
         own = state.own
         state.held["beside members"] = every if state.members_are_free else every - own.combined(own.coordinates(every))
     return np.asarray(state.held["beside members"])

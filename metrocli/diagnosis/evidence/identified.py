@@ -165,7 +165,7 @@ def _rivals(less: State, part: Fixed, values: Array, variance: float) -> tuple[R
     """
     m = less.measurement
     own, squares, dof = m.alternative(part.key), less.fit.squares, less.freedoms
-    t, q = (found[part.number] for found in less.of_family(part.family))
+    t, q = (quantity[part.number] for quantity in less.of_family(part.family))
     # evidence less prices, as in the score
     mine = float(gain_of_columns(t, q, squares, dof)) - m.prices.of_columns(part.family, max(int(q), 1))
     whole = m.families[part.family].columns.whole([part.number], m.system.rows)[:, 0] @ values
@@ -190,7 +190,7 @@ def _rivals(less: State, part: Fixed, values: Array, variance: float) -> tuple[R
                 continue
             key = other.form if other.spot == own.spot else other.spot
             # clipped, since exp of a large network's evidence overflows
-            found = Rival(other, float(np.sqrt(cosine2[at])), float(np.exp(np.clip(odds[at], -700, 700))))
-            if key not in best or best[key].odds < found.odds:
-                best[key] = found
+            rival = Rival(other, float(np.sqrt(cosine2[at])), float(np.exp(np.clip(odds[at], -700, 700))))
+            if key not in best or best[key].odds < rival.odds:
+                best[key] = rival
     return tuple(sorted(best.values(), key=lambda rival: -rival.odds))

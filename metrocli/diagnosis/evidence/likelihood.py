@@ -164,12 +164,12 @@ class Fit:
         from scipy.linalg.lapack import dpotri
 
         products, variance = self.products, np.exp(self.logs)
-        found, expected, bend = np.zeros((3, len(variance)))
+        observed, expected, bend = np.zeros((3, len(variance)))
 
         def add(j: int, sizes: Array, count: int, trace: float, squares: float) -> None:
             # coefficients are in units of their own standard deviation, so that their
             # squares add up to their effective number
-            found[j] += float(np.vdot(sizes, sizes))
+            observed[j] += float(np.vdot(sizes, sizes))
             expected[j] += count - trace
             bend[j] += count - 2 * trace + squares
 
@@ -188,7 +188,7 @@ class Fit:
             for j, (a, b) in _stretches(products.of_local):
                 unsettled, count = posterior[:, a:b, a:b], len(posterior) * (b - a)
                 add(j, sizes[:, a:b], count, float(np.einsum("mkk->", unsettled)), float((unsettled**2).sum()))
-        return found * self._freedoms / self.squares, expected, bend
+        return observed * self._freedoms / self.squares, expected, bend
 
 
 def fit_at(products: Products, logs: Array) -> Fit:
@@ -205,7 +205,7 @@ def fit_at(products: Products, logs: Array) -> Fit:
         own = products.own * (scale[:, None] * scale) + np.eye(len(scale))
         lower = np.linalg.cholesky(own)
         log_det += 2 * float(np.log(np.einsum("mkk->mk", lower)).sum())
-        half = np.stack([dtrtri(one.T)[0].T for one in lower])
+        half = np.stack([dtrtri(factor.T)[0].T for factor in lower])
         shown = (half * scale) @ products.mixed
         flat = shown.reshape(-1, p + 1)
         taken = flat.T @ flat
@@ -242,15 +242,15 @@ def likeliest(fit: Fit, most: Array, steps: int = _STEPS) -> Fit:
     """
     products = fit.products
     for _ in range(steps if len(most) else 0):
-        found, expected, bend = fit.slopes
+        observed, expected, bend = fit.slopes
         # a step of at most e^2 in a variance: from nothing the bend is near 0, and Newton's step would leave the range
-        step = np.clip((found - expected) / np.maximum(bend, 1e-9), -_FAR, _FAR)
+        step = np.clip((observed - expected) / np.maximum(bend, 1e-9), -_FAR, _FAR)
         # where almost nothing is expected, the ratio of found to expected is the better guide
-        ratio = np.log(np.maximum(found, 1e-12) / np.maximum(expected, 1e-12))
+        ratio = np.log(np.maximum(observed, 1e-12) / np.maximum(expected, 1e-12))
         shorter = np.sign(ratio) * np.maximum(np.abs(ratio), np.abs(step) / 2)
         step = np.where(np.abs(step) > np.abs(ratio), shorter, step)
         step = np.clip(fit.logs + np.clip(step, -_FAR, _FAR), _LEAST, most) - fit.logs
-        if (found - expected) @ step < 4 * _STILL:
+        if (observed - expected) @ step < 4 * _STILL:
             break
         for _ in range(6):
             after = fit_at(products, fit.logs + step)
@@ -268,11 +268,11 @@ def likeliest(fit: Fit, most: Array, steps: int = _STEPS) -> Fit:
 
 def _among(matrix: Array, at: Index, first: int) -> Array:
     """Return a matrix at some rows and columns, of which the first ones are all."""
-    found = np.empty((len(at), len(at)))
+    submatrix = np.empty((len(at), len(at)))
     # stretches are copied several times faster than numbers one by one
-    found[:first, :first], found[:first, first:] = matrix[:first, :first], matrix[:first, at[first:]]
-    found[first:] = matrix[np.ix_(at[first:], at)]
-    return found
+    submatrix[:first, :first], submatrix[:first, first:] = matrix[:first, :first], matrix[:first, at[first:]]
+    submatrix[first:] = matrix[np.ix_(at[first:], at)]
+    return submatrix
 
 
 def _stretches(kinds: Index) -> list[tuple[int, tuple[int, int]]]:

@@ -83,8 +83,8 @@ def _places(system: Linearised, job: AdjustedJob) -> Index:
         rows = system.first[group.name] + d * np.arange(n)[:, None] + np.arange(d)
         # padded with -1, so that readings of one and of three components stand in one table
         parts.append(np.pad(rows, ((0, 0), (0, most - d)), constant_values=-1))
-    found = np.concatenate(parts)
-    return found[found >= 0][:, None] if job.single_components else found
+    places = np.concatenate(parts)
+    return places[places >= 0][:, None] if job.single_components else places
 
 
 def _scatters(
@@ -103,14 +103,14 @@ def _scatters(
             continue
         if can_act_everywhere(system.model, effect):
             by_name.setdefault(family.name, []).append(family)
-    found = []
+    scatters = []
     for own in by_name.values():
-        columns = sum(one.columns.count * one.columns.parameters for one in own)
+        columns = sum(family.columns.count * family.columns.parameters for family in own)
         # coefficients of a smooth effect are its freedoms, where another effect has one place for each alternative
-        places = columns if own[0].alternatives[0].effect.is_smooth else sum(one.columns.count for one in own)
+        places = columns if own[0].alternatives[0].effect.is_smooth else sum(family.columns.count for family in own)
         if places >= _PLACES and system.rows * columns**2 <= _MOST:
-            found.append(tuple(own))
-    return found
+            scatters.append(tuple(own))
+    return scatters
 
 
 def _with_standing(job: AdjustedJob, system: Linearised) -> Linearised:
@@ -119,8 +119,8 @@ def _with_standing(job: AdjustedJob, system: Linearised) -> Linearised:
     Their contribution is linear about their sizes theta: `r + G theta`.
     """
     residual = system.residual
-    for one in job.standing:
-        residual = residual + signature(job.model, system, one.effect, one.instance, {}) @ np.array(one.sizes)
+    for fixed in job.standing:
+        residual = residual + signature(job.model, system, fixed.effect, fixed.instance, {}) @ np.array(fixed.sizes)
     # projected again: the unknowns absorb a part of what these effects give
     return replace(system, residual=system.seen(residual)) if job.standing else system
 
@@ -146,17 +146,17 @@ def _family(system: Linearised, name: str, columns: Sequence[Array]) -> Candidat
 
 def _motion(job: AdjustedJob, system: Linearised, covariate: Covariate) -> Array:
     """Return the coordinates of a covariate, which are changes of the readings themselves, whitened."""
-    found = np.zeros((system.rows, len(next(iter(covariate.values.values())))))
+    changes = np.zeros((system.rows, len(next(iter(covariate.values.values())))))
     for group in job.model.readings:
         d, n = group.observations.readings.shape
         rows = slice(system.first[group.name], system.first[group.name] + d * n)
-        found[rows] = np.repeat(covariate.values[group.name].T, d, axis=0) / system.scale[rows][:, None]
-    return found
+        changes[rows] = np.repeat(covariate.values[group.name].T, d, axis=0) / system.scale[rows][:, None]
+    return changes
 
 
 def _waves(job: AdjustedJob, system: Linearised, covariate: Covariate) -> Iterator[Array]:
     """Yield cosine and sine of each component, from one period over the range up to one in two steps (Nyquist)."""
-    values = {name: one for name, one in covariate.values.items() if np.ndim(one) == 1}
+    values = {name: coordinate for name, coordinate in covariate.values.items() if np.ndim(coordinate) == 1}
     every = np.concatenate([*values.values(), np.zeros(0)])
     steps = np.unique(every)
     if len(steps) < _STEPS:

@@ -47,7 +47,7 @@ class Move:
 
     net: float
     fixed: tuple[Fixed, ...] = ()
-    found: Found | None = None
+    entering: Found | None = None
     noise: Mapping[int, float] | None = None
     given: bool = False
     """Whether the noise is that of prior values, whose stated sigma is wrong"""
@@ -58,28 +58,28 @@ class Move:
     def is_cause(self) -> bool:
         """Whether known effects enter, at a place or at all their places."""
         return any(part.sort == EFFECT for part in self.fixed) or (
-            self.found is not None and self.found.kind == SCATTER
+            self.entering is not None and self.entering.kind == SCATTER
         )
 
     @property
     def has_correlated(self) -> bool:
         """Whether a correlated error enters, of all readings or of any unit."""
-        return self.found is not None and self.found.kind == CORRELATED
+        return self.entering is not None and self.entering.kind == CORRELATED
 
     @property
     def is_correlated(self) -> bool:
         """Whether an error of all readings, or of each unit, enters that is correlated over a covariate."""
-        return self.found is not None and self.found.kind == CORRELATED and self.found.key[2] < 0
+        return self.entering is not None and self.entering.kind == CORRELATED and self.entering.key[2] < 0
 
     @property
     def keys(self) -> tuple[tuple[int, ...], ...]:
         """Keys of the parts that enter."""
-        return (*(part.key for part in self.fixed), *(() if self.found is None else (self.found.key,)))
+        return (*(part.key for part in self.fixed), *(() if self.entering is None else (self.entering.key,)))
 
     def is_like(self, part: Fixed | Random) -> bool:
         """Return whether a part enters, or a correlated error over the same covariate of another length."""
-        if isinstance(part, Random) and part.kind == CORRELATED and self.found is not None:
-            return self.found.kind == CORRELATED and self.found.key[0] == part.key[0]
+        if isinstance(part, Random) and part.kind == CORRELATED and self.entering is not None:
+            return self.entering.kind == CORRELATED and self.entering.key[0] == part.key[0]
         return part.key in self.keys
 
     def tried(self, state: State) -> tuple[float, Callable[[], State]]:
@@ -97,8 +97,8 @@ class Move:
         """Return the state after the move."""
         if self.noise is not None:
             return self.tried(state)[1]()
-        if self.found is not None:
-            return state.plus(random=[self.found.part(state.measurement)], logs=[self.found.log])
+        if self.entering is not None:
+            return state.plus(random=[self.entering.part(state.measurement)], logs=[self.entering.log])
         return state.plus(self.fixed)
 
 
@@ -136,12 +136,12 @@ def moves(state: State, quiet: set[int] | None = None) -> list[Move]:
     """
     quiet = set() if quiet is None else quiet
     if (key := ("moves", frozenset(quiet))) not in state.held:
-        found = [*causes(state), *readings(state), *_masked_readings(state)]
+        possible = [*causes(state), *readings(state), *_masked_readings(state)]
         if sum(part.kind == CORRELATED for part in state.random) < _CORRELATED:
-            found += [Move(entering.net, found=entering) for entering in correlated_errors(state, quiet)]
-        found += _noise(state, alone=all(move.net <= 0 for move in found))
+            possible += [Move(entering.net, entering=entering) for entering in correlated_errors(state, quiet)]
+        possible += _noise(state, alone=all(move.net <= 0 for move in possible))
         # a little below 0 too: quick gains are at the present sizes, and may rise when these are estimated
-        state.held[key] = sorted((move for move in found if move.net > -1), key=lambda move: -move.net), {*quiet}
+        state.held[key] = sorted((move for move in possible if move.net > -1), key=lambda move: -move.net), {*quiet}
     entering, silent = state.held[key]
     quiet |= silent
     return list(entering)
@@ -150,7 +150,7 @@ def moves(state: State, quiet: set[int] | None = None) -> list[Move]:
 def causes(state: State) -> list[Move]:
     """Return the effects, and unknown causes, of the largest net gains, and the best effect at all its places."""
     if "causes" not in state.held:
-        scattered = [Move(entering.net, found=entering) for entering in scattered_effects(state)[:1]]
+        scattered = [Move(entering.net, entering=entering) for entering in scattered_effects(state)[:1]]
         state.held["causes"] = [*effects(state), *scattered]
     return [*state.held["causes"]]
 
@@ -164,7 +164,7 @@ def _noise(state: State, alone: bool) -> list[Move]:
     kinds, known = [unit[0] for unit in state.measurement.units], state.measurement.noise
     # one of many units that is quieter than the others is no cause for anything
     named = _by_effects(state.measurement)
-    every = [one for one in noisier_groups(state) if one[2] <= 1 or one[1] in known or one[1] not in named]
+    every = [group for group in noisier_groups(state) if group[2] <= 1 or group[1] in known or group[1] not in named]
     groups = [
         group
         for group in every
@@ -176,16 +176,16 @@ def _noise(state: State, alone: bool) -> list[Move]:
             or (group[2] < 1 / AS_OTHERS and kinds[group[1]] in (READING, DECLARED_SIGMA))
         )
     ]
-    found = []
+    noisier = []
     for given in (True, False):
         own = [group for group in groups if (kinds[group[1]] == DECLARED_SIGMA) == given]
-        alike = [one for one in own if kinds[one[1]] == kinds[own[0][1]] and one[0] > own[0][0] / 2]
+        alike = [group for group in own if kinds[group[1]] == kinds[own[0][1]] and group[0] > own[0][0] / 2]
         if own:
             noise, kind = {number: ratio for _, number, ratio in alike}, kinds[own[0][1]]
             near = (number for _, number, ratio in every if alone and kinds[number] == kind and ratio > _NEARLY_NOISIER)
             others = tuple(number for number in near if number not in noise and number not in known)
-            found.append(Move(own[0][0], noise=noise, given=given, watched=others))
-    return found
+            noisier.append(Move(own[0][0], noise=noise, given=given, watched=others))
+    return noisier
 
 
 def _by_effects(m: Measurement) -> set[int]:
@@ -206,16 +206,16 @@ def effects(state: State, shared: bool = False) -> list[Move]:
     """
     m = state.measurement
     taken = {m.alternative(part.key).form for part in (*state.named, *state.unknown)}
-    found: list[tuple[float, int, int, float, float]] = []
+    candidates: list[tuple[float, int, int, float, float]] = []
     everywhere = {scatter[0].name for scatter in m.scatters} if shared else set()
     for family in (number for number, group in enumerate(m.families) if group.name not in everywhere):
         gain, price, explained = state.gains_of_family(family)
         net = gain - price
         for at in np.argsort(-net)[:4].tolist():
             if net[at] > -1 and gain[at] > 0 and m.alternative((family, at)).form not in taken:
-                found.append((float(net[at]), family, at, float(explained[at]), float(gain[at])))
-    found.sort(reverse=True)
-    chosen = (entering for entering in found if not _is_of_one_reading(state, *entering[1:]))
+                candidates.append((float(net[at]), family, at, float(explained[at]), float(gain[at])))
+    candidates.sort(reverse=True)
+    chosen = (entering for entering in candidates if not _is_of_one_reading(state, *entering[1:]))
     return [Move(net, (m.effect(family, at),)) for net, family, at, *_ in islice(chosen, 2)]
 
 
@@ -232,7 +232,7 @@ def _is_of_one_reading(state: State, family: int, number: int, explained: float,
     rows = m.places[alike]
     if not len(rows):
         return False
-    gram, right = (one[number] for one in state.left(family))
+    gram, right = (products[number] for products in state.left(family))
     # pinv: a parameter that is not seen has no size
     whole = m.whole(family, number) @ (np.linalg.pinv(gram, hermitian=True) @ right)
     there = rows >= 0

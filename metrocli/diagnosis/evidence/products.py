@@ -66,7 +66,7 @@ def shared_columns(
     rows: Index | slice = slice(None),
 ) -> Array:
     """Return the shared columns of unknowns, random and fixed parts side by side, (rows, p), at some rows or all."""
-    parts = [one[rows] for _, one in shared_parts(m, fixed, random, unknowns)]
+    parts = [columns[rows] for _, columns in shared_parts(m, fixed, random, unknowns)]
     if len(parts) == 1:
         return parts[0]
     count = m.system.rows if isinstance(rows, slice) else len(rows)
@@ -81,7 +81,7 @@ def _local_parts(m: Measurement, random: Sequence[Random]) -> list[tuple[object,
 
 def local_columns(m: Measurement, random: Sequence[Random]) -> Array:
     """Return the columns of errors of single members, free of their unknowns, (rows, k)."""
-    return np.concatenate([np.zeros((m.system.rows, 0)), *(one for _, one in _local_parts(m, random))], axis=1)
+    return np.concatenate([np.zeros((m.system.rows, 0)), *(columns for _, columns in _local_parts(m, random))], axis=1)
 
 
 def products_of(
@@ -94,15 +94,15 @@ def products_of(
     local = _local_parts(m, random)
     # errors of a member change what its unknowns absorb, and with these what the shared unknowns do
     shared = shared_parts(m, fixed, random, bool(local))
-    parts = tuple((key, one.shape[1]) for key, one in (*shared, *local))
+    parts = tuple((key, columns.shape[1]) for key, columns in (*shared, *local))
     if known is not None and known.parts == parts:
         return known
     gram, right = _gram(m, shared, known)
     unknowns = shared[0][1].shape[1] if local else 0
     kinds = [np.full(unknowns, -1)]
-    kinds += [np.full(one.columns.shape[1], j) for j, one in enumerate(random) if not one.local]
+    kinds += [np.full(part.columns.shape[1], j) for j, part in enumerate(random) if not part.local]
     kinds += [np.full(part.rank, -1) for part in fixed]
-    of_local = [np.full(one.columns.shape[1], j) for j, one in enumerate(random) if one.local]
+    of_local = [np.full(part.columns.shape[1], j) for j, part in enumerate(random) if part.local]
     empty, members = np.zeros(0, dtype=np.intp), m.system.basis.members if local else 0
     own = np.zeros((members, 0, 0))
     mixed = np.zeros((members, 0, len(right) + 1))
@@ -132,13 +132,13 @@ def products_of_members(
 
     Those of each part are computed once in a cache.
     """
-    found = list[Array]()
+    products = list[Array]()
     for key, columns in _local_parts(m, random):
         at = "of members", key, other[0]
         if at not in held:
             held[at] = _by_members(m, columns, other[1])
-        found.append(held[at])
-    return np.concatenate(found, axis=1)
+        products.append(held[at])
+    return np.concatenate(products, axis=1)
 
 
 def _by_members(m: Measurement, columns: Array, others: Columns) -> Array:
@@ -158,7 +158,7 @@ def _by_members(m: Measurement, columns: Array, others: Columns) -> Array:
 
 def _gram(m: Measurement, shared: Sequence[tuple[object, Array]], known: Products | None) -> tuple[Array, Array]:
     """Return the products of shared parts with each other and with the residual, as far as possible from known ones."""
-    ends = np.cumsum([0, *(one.shape[1] for _, one in shared)])
+    ends = np.cumsum([0, *(columns.shape[1] for _, columns in shared)])
     gram, right = np.empty((ends[-1], ends[-1])), np.empty(ends[-1])
     at = {} if known is None else known.places
     old = [i for i, (key, _) in enumerate(shared) if key in at]

@@ -45,9 +45,9 @@ def refined(state: State, entered: Collection[tuple[int, int]] | None = None) ->
     for _ in range(_ROUNDS):
         before = state
         for number in range(len(state.fixed)):
-            one = state.fixed[number]
-            effect = None if one.is_reading else state.measurement.alternative(one.key).effect
-            if effect is None or (entered is not None and one.key not in entered):
+            part = state.fixed[number]
+            effect = None if part.is_reading else state.measurement.alternative(part.key).effect
+            if effect is None or (entered is not None and part.key not in entered):
                 continue
             if entered is not None and not (effect.is_step or is_filled(effect)):
                 continue
@@ -74,7 +74,7 @@ class _Scan:
     """A scanned parameter of an effect, beside all else."""
 
     less: State
-    one: Fixed
+    part: Fixed
     name: str
     most: int = STARTS
     """Number of its values that are refined at most"""
@@ -82,7 +82,7 @@ class _Scan:
     @property
     def family(self) -> CandidateGroup:
         """The family of the effect."""
-        return self.less.measurement.families[self.one.family]
+        return self.less.measurement.families[self.part.family]
 
     def tried(self, alternative: Candidate) -> _Tried | None:
         """Return what an alternative explains; None if it has no value at some reading."""
@@ -109,22 +109,22 @@ class _Scan:
 
     def peaks(self) -> list[_Tried]:
         """Return the best value about each start, itself or between its neighbours in the scan."""
-        found = []
+        peaks = []
         for start in self._starts():
             between = (self.at(start, value) for value in self._between(start).tolist())
-            near = [one for one in (self.tried(start), *between) if one is not None]
-            found += [max(near, key=lambda one: one.explained)] if near else []
-        return found
+            near = [trial for trial in (self.tried(start), *between) if trial is not None]
+            peaks += [max(near, key=lambda trial: trial.explained)] if near else []
+        return peaks
 
     def _starts(self) -> list[Candidate]:
         """Return the alternatives that differ in the parameter only and are nearly as good, the best first.
 
         Of neighbours in the scan only the better one is a start.
         """
-        chosen = self.family.alternatives[self.one.number]
+        chosen = self.family.alternatives[self.part.number]
         alike = [i for i, other in enumerate(self.family.alternatives) if _differs_in(chosen, other, self.name)]
         alike.sort(key=lambda i: dict(self.family.alternatives[i].scanned)[self.name])
-        gains = self.less.of_family(self.one.family)[0][alike]
+        gains = self.less.of_family(self.part.family)[0][alike]
         # -inf at both ends: the first and the last value of a scan can be peaks
         higher = np.concatenate([[-np.inf], gains, [-np.inf]])
         peaks = (gains >= higher[:-2]) & (gains >= higher[2:]) & (gains > _NEAR * gains.max(initial=0.0))
@@ -156,18 +156,18 @@ class _Scan:
         """
         if not is_filled(best.alternative.effect):
             return []
-        found = []
+        aliases = []
         for peak in peaks:
             value, here = self.value(peak), self.value(best)
             if abs(value - here) > _APART * abs(here) and self._odds(peak, best) > -ALIKE:
                 middle = self.at(best.alternative, (value + here) / 2)
                 if middle is not None and self._odds(middle, best) < -ALIKE:
-                    found.append((self.name, value, float(np.exp(self._odds(peak, best)))))
-        return found
+                    aliases.append((self.name, value, float(np.exp(self._odds(peak, best)))))
+        return aliases
 
-    def _odds(self, one: _Tried, best: _Tried) -> float:
+    def _odds(self, other: _Tried, best: _Tried) -> float:
         """Return ln of the odds of one value against another."""
-        explained, rank = np.array([one.explained, best.explained]), np.array([one.rank, best.rank])
+        explained, rank = np.array([other.explained, best.explained]), np.array([other.rank, best.rank])
         gains = gain_of_columns(explained, rank, self.less.fit.squares, self.less.freedoms)
         return float(gains[0] - gains[1])
 
@@ -177,21 +177,21 @@ def _closer(state: State, number: int, name: str, most: int) -> State:
 
     The best value need not lie beside the best one of the scan: it lies beside one that is nearly as good.
     """
-    one = state.fixed[number]
-    less = state.beside(one)
-    scan = _Scan(less, one, name, most)
-    known = float(less.of_family(one.family)[0][one.number])
-    held = _Tried(scan.family.alternatives[one.number], known, one.rank, np.zeros((0, 0)))
+    part = state.fixed[number]
+    less = state.beside(part)
+    scan = _Scan(less, part, name, most)
+    known = float(less.of_family(part.family)[0][part.number])
+    held = _Tried(scan.family.alternatives[part.number], known, part.rank, np.zeros((0, 0)))
     peaks = scan.peaks()
     best = max(peaks, key=lambda each: each.explained, default=held)
     # a value that explains the same but for rounding would turn the state to and fro in each round
     best = best if best.explained > held.explained * (1 + 1e-9) else held
-    others = tuple(alias for alias in one.aliases if alias[0] != name)
+    others = tuple(alias for alias in part.aliases if alias[0] != name)
     aliases = (*others, *scan.aliases(peaks, best))
     if best is held:
-        return state if aliases == one.aliases else state.with_fixed(number, replace(one, aliases=aliases))
-    grown = _with_alternative(state.measurement, one.family, best.alternative, best.whole)
-    new = replace(grown.effect(one.family, len(scan.family.alternatives)), aliases=aliases, price=one.price)
+        return state if aliases == part.aliases else state.with_fixed(number, replace(part, aliases=aliases))
+    grown = _with_alternative(state.measurement, part.family, best.alternative, best.whole)
+    new = replace(grown.effect(part.family, len(scan.family.alternatives)), aliases=aliases, price=part.price)
     return replace(state, measurement=grown).with_fixed(number, new)
 
 

@@ -45,10 +45,10 @@ class Given:
         # the bump lets a column that depends on others pass; its diagonal shows below that it did
         unit, right = self.gram / scale / scale[:, None] + 1e-12 * np.eye(len(scale)), self.right / scale
         explained = np.zeros(own.shape)
-        for at, found in zip(map(np.flatnonzero, own), explained, strict=True):
+        for at, squares in zip(map(np.flatnonzero, own), explained, strict=True):
             lower = np.asarray(np.linalg.cholesky(unit[at[:, None], at]), dtype=float)
             # a column that depends on those before it explains nothing
-            found[at] = np.where(np.diag(lower) > 1e-5, solved(lower, right[at]) ** 2, 0.0)
+            squares[at] = np.where(np.diag(lower) > 1e-5, solved(lower, right[at]) ** 2, 0.0)
         ends = np.cumsum([0, *self.ranks])
         after = np.cumsum(np.pad(explained, ((0, 0), (1, 0))), axis=1)[:, ends]
         left = np.maximum(self.squares - after[:, :-1], 1e-300)
@@ -143,9 +143,9 @@ class Scored:
 
     def _scores(self, kept: Mask) -> Array:
         """Return the scores with some of the fixed parts (n, parts), at the same sizes of the random parts."""
-        found = self.measurement.log_scale - (self.fit.dof * np.log(self.given.squares) + self.fit.log_det) / 2
-        prices = [self._prices([*compress(self.fixed, one)]) for one in kept]
-        return np.asarray(found + self.given.evidence(kept) - prices)
+        likelihood = self.measurement.log_scale - (self.fit.dof * np.log(self.given.squares) + self.fit.log_det) / 2
+        prices = [self._prices([*compress(self.fixed, choice)]) for choice in kept]
+        return np.asarray(likelihood + self.given.evidence(kept) - prices)
 
     def _prices(self, fixed: Sequence[Fixed]) -> float:
         names = sum(part.sort == EFFECT for part in fixed)
@@ -173,7 +173,7 @@ class Scored:
         gone = {id(part) for part in parts}
         # the state holds its parts, so that their identities stay theirs
         if (key := ("minus", frozenset(gone), steps)) not in self.held:
-            kept = [j for j, one in enumerate(self.random) if id(one) not in gone]
+            kept = [j for j, part in enumerate(self.random) if id(part) not in gone]
             fixed = [part for part in self.fixed if id(part) not in gone]
             random, known = [self.random[j] for j in kept], self.fit.products
             self.held[key] = (

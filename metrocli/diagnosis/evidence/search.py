@@ -36,8 +36,8 @@ _Tried = tuple[float, Callable[[], State], Move]
 
 def _with_all_readings(state: State) -> State:
     """Return the state with the wrong readings that show at the same sizes of the random parts, step by step."""
-    while found := readings(state):
-        other = state.plus(found[0].fixed, steps=0)
+    while wrong := readings(state):
+        other = state.plus(wrong[0].fixed, steps=0)
         if other.score <= state.score:
             break
         state = other
@@ -50,8 +50,8 @@ def _with_all_effects(state: State) -> State:
     A smooth function of the place in the image contains much of a skew. What it adds to the skew is small. Effects at
     single places are not among them: without that error, many would stand for what scatters at all places.
     """
-    while found := [move for move in effects(state, shared=True) if move.net > 0 and move.is_cause]:
-        other = without_weak_fixed(refined(found[0].made(state), [part.key for part in found[0].fixed]))
+    while entering := [move for move in effects(state, shared=True) if move.net > 0 and move.is_cause]:
+        other = without_weak_fixed(refined(entering[0].made(state), [part.key for part in entering[0].fixed]))
         if other.score <= state.score + _GAINED:
             break
         state = other
@@ -109,15 +109,15 @@ def _best(state: State, possible: Sequence[Move]) -> State | None:
         # beside fixed parts alone quick gains are exact, so that the second best cannot be better
         if not state.random and move.fixed:
             break
-    best = max(tried, key=lambda one: one[0])
+    best = max(tried, key=lambda trial: trial[0])
     chosen = best[2]
     alike = [trial for trial in tried if trial[0] > best[0] - ALIKE]
     # a sigma that the job states explains as much as an effect at all places: it is what can be corrected
-    given = [one for one in alike if one[2].given]
+    given = [trial for trial in alike if trial[2].given]
     # so can an effect: noise of its place, or a correlated error, does not say what is wrong there
     says_little = chosen.noise is not None or chosen.has_correlated
-    names = [one for one in alike if one[2].is_cause] if says_little else []
-    return next(iter(given), max(names, key=lambda one: one[0], default=best))[1]()
+    names = [trial for trial in alike if trial[2].is_cause] if says_little else []
+    return next(iter(given), max(names, key=lambda trial: trial[0], default=best))[1]()
 
 
 def _kept(state: State, move: Move) -> _Tried:
@@ -153,7 +153,7 @@ def without_weak_random(state: State) -> State:
     while state.random:
         # twice the bound for fixed parts: sizes of the other random parts take up more of what goes
         weak = [j for j in range(len(state.random)) if _quick(state, j) < 2 * _SURE]
-        fewer = max((state.minus([state.random[j]]) for j in weak), key=lambda one: one.score, default=state)
+        fewer = max((state.minus([state.random[j]]) for j in weak), key=lambda trial: trial.score, default=state)
         if fewer.score < state.score or fewer is state:
             break
         state = fewer
@@ -220,7 +220,7 @@ def _others_in_turn(state: State, but: Fixed | Random) -> float:
     if only_causes and not any(cause.net > 0 for cause in causes(state)):
         return 0.0
     entering = [move for move in moves(state) if move.net > 0 and not move.is_like(but)][:_TRIED]
-    return sum(one.net for one in entering) if not only_causes or any(one.is_cause for one in entering) else 0.0
+    return sum(move.net for move in entering) if not only_causes or any(move.is_cause for move in entering) else 0.0
 
 
 def _quick(state: State, number: int) -> float:

@@ -35,14 +35,14 @@ class State(Scored):
         """Columns E of the errors of single members, (rows, k): unknowns and these leave `I - b b' - E E'`."""
         m = self.measurement
         columns = local_columns(m, self.random)
-        found = np.zeros(columns.shape)
+        across = np.zeros(columns.shape)
         if columns.shape[1]:
             scale = np.exp(self.logs[self.fit.products.of_local] / 2)
             order, begins = m.by_member
             for member, half in enumerate(self.fit.half):
                 rows = order[begins[member] : begins[member + 1]]
-                found[rows] = (columns[rows] * scale) @ half.T
-        return found
+                across[rows] = (columns[rows] * scale) @ half.T
+        return across
 
     @cached_property
     def own(self) -> Basis:
@@ -54,7 +54,7 @@ class State(Scored):
     def entered(self) -> Array:
         """Columns v beside the unknowns: `P = M - v v'` is left; those of all that is shared beside members' errors."""
         m = self.measurement
-        x = np.concatenate([np.zeros((m.system.rows, 0)), *(one for _, one in self.parts)], axis=1)
+        x = np.concatenate([np.zeros((m.system.rows, 0)), *(columns for _, columns in self.parts)], axis=1)
         if not self.members_are_free:
             errors, (order, begins) = self._by_members, m.by_member
             for shown, some in zip(self.fit.shown, (order[a:b] for a, b in pairwise(begins)), strict=True):
@@ -102,17 +102,17 @@ class State(Scored):
         Those with each part are computed once in a cache.
         """
         new = [(key, x) for key, x in self.parts if ("within", name, key) not in held]
-        found = {key: held["within", name, key] for key, _ in self.parts if ("within", name, key) in held}
-        if new or not found:
+        products = {key: held["within", name, key] for key, _ in self.parts if ("within", name, key) in held}
+        if new or not products:
             every = columns(np.concatenate([np.zeros((self.measurement.system.rows, 0)), *(x for _, x in new)], axis=1))
             ends = np.cumsum([x.shape[1] for _, x in new])
             for (key, x), end in zip(new, ends, strict=True):
-                found[key] = every[end - x.shape[1] : end]
-                if found[key].size < _MOST_HELD:
-                    held["within", name, key] = found[key]
+                products[key] = every[end - x.shape[1] : end]
+                if products[key].size < _MOST_HELD:
+                    held["within", name, key] = products[key]
             if not new:
                 return every
-        return np.concatenate([found[key] for key, _ in self.parts])
+        return np.concatenate([products[key] for key, _ in self.parts])
 
     def absorbed(self, rows: Index | Mask | slice = slice(None)) -> Array:
         """Return the share of each reading that the state absorbs."""
@@ -183,8 +183,8 @@ class State(Scored):
                 alone = group.gram if self.members_are_free else m.grams_beside_members(family)
                 gram = alone - taken @ np.swapaxes(taken, 1, 2)
             self.held[family] = gram, right
-        found: tuple[Array, Array] = self.held[family]
-        return found
+        products: tuple[Array, Array] = self.held[family]
+        return products
 
     def _of_columns(self, family: int) -> Array:
         """Return what entered along the columns of a family, (k, alternatives, parameters)."""

@@ -163,13 +163,13 @@ def correlated_errors(state: State, quiet: set[int], most: int = 3) -> list[Foun
     scored = [process for process in scored if process[0] > _NOTICED and process[1] not in held]
     several = sorted((process for process in scored if process[1][2] < 0), key=lambda process: -process[0])[: 2 * most]
     single = sorted((process for process in scored if process[1][2] >= 0), key=lambda process: -process[0])[:most]
-    found = []
+    errors = []
     for _, key, gram, right in (*several, *single):
         d, vectors = np.linalg.eigh(gram)
         along = np.einsum("ukd,uk->ud", vectors, right) ** 2 / np.maximum(d, 1e-300)
         gain, log = gain_of_variance(d.ravel(), along.ravel(), state.fit.squares, state.fit.dof, LARGEST)
-        found.append(Found(gain - m.price_of_correlated(key[0], key[2]), CORRELATED, key, log))
-    return sorted(found, key=lambda process: -process.net)[:most]
+        errors.append(Found(gain - m.price_of_correlated(key[0], key[2]), CORRELATED, key, log))
+    return sorted(errors, key=lambda process: -process.net)[:most]
 
 
 def _singles(
@@ -190,7 +190,7 @@ def _singles(
 def scattered_effects(state: State) -> list[Found]:
     """Return the effects at all their places with their quick net gains, the best first."""
     m = state.measurement
-    held, found = {part.key[0] for part in state.random if part.kind == SCATTER}, list[Found]()
+    held, effects = {part.key[0] for part in state.random if part.kind == SCATTER}, list[Found]()
     for number in range(len(m.scatters)):
         if number in held:
             continue
@@ -202,8 +202,8 @@ def scattered_effects(state: State) -> list[Found]:
         kept = d > 1e-4 * max(float(d[-1]), 1e-300)
         if state.freedoms - 2 - kept.sum() >= FEWEST:
             gain, log = gain_of_variance(d[kept], along[kept], state.fit.squares, state.fit.dof)
-            found.append(Found(gain - m.price_of_scatter, SCATTER, (number, 0, -1), log))
-    return sorted(found, key=lambda one: -one.net)
+            effects.append(Found(gain - m.price_of_scatter, SCATTER, (number, 0, -1), log))
+    return sorted(effects, key=lambda effect: -effect.net)
 
 
 def noisier_groups(state: State) -> list[tuple[float, int, float]]:
@@ -211,7 +211,7 @@ def noisier_groups(state: State) -> list[tuple[float, int, float]]:
 
     Values that are given (priors) have few freedoms, which their weight changes: theirs is that of one more variance.
     """
-    m, found = state.measurement, []
+    m, noisier = state.measurement, []
     if len(m.units) < 2:
         return []
     taken, r = state.absorbed(), state.residual
@@ -221,14 +221,14 @@ def noisier_groups(state: State) -> list[tuple[float, int, float]]:
         if kind == DECLARED_SIGMA and rows.sum() <= _MOST_GIVEN:
             gain, ratio = _noise_of_given(state, rows)
             if gain > price:
-                found.append((gain - price, number, ratio))
+                noisier.append((gain - price, number, ratio))
                 continue
         own = float(rows.sum()) - float(taken[rows].sum())
         s = float(r[rows] @ r[rows])
         ratio, gain = state.own_noise(own, s)
         if gain:
-            found.append((gain - price, number, ratio))
-    return sorted(found, reverse=True)
+            noisier.append((gain - price, number, ratio))
+    return sorted(noisier, reverse=True)
 
 
 def _noise_of_given(state: State, rows: Mask) -> tuple[float, float]:

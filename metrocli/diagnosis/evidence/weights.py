@@ -40,7 +40,7 @@ def with_noise(measurement: Measurement, ratios: Mapping[int, float]) -> Measure
     return replace(
         own,
         families=_families(measurement, weighted, factor),
-        scatters=tuple(tuple(_weighted(one, weighted, factor) for one in own) for own in measurement.scatters),
+        scatters=tuple(tuple(_weighted(family, weighted, factor) for family in own) for own in measurement.scatters),
         knots=tuple(_knots(knot, factor) for knot in measurement.knots),
     )
 
@@ -80,16 +80,16 @@ def tried_noise(
     after = State(own, state.fixed, state.random, fit)
     absorbed, residual = other.left(fit)
     absorbed, residual = absorbed * own_factor**2, residual * own_factor
-    found, others = dict[int, float](), dict[int, float]()
+    new_ratios, others = dict[int, float](), dict[int, float]()
     for number in (*ratios, *watched):
         there = m.units[number][2][rows]
         freedoms = float(there.sum()) - float(absorbed[there].sum())
         ratio, gain = after.own_noise(freedoms, float((residual[there] ** 2).sum()))
         if number in ratios:
-            found[number] = ratios[number] * ratio
+            new_ratios[number] = ratios[number] * ratio
         elif gain > m.price_of_noise and ratio > AS_OTHERS:
             others[number] = ratio
-    return NoiseTrial(after.score, found, others, fit.logs)
+    return NoiseTrial(after.score, new_ratios, others, fit.logs)
 
 
 def _with_declared(m: Measurement, products: Products) -> Products:
@@ -139,15 +139,15 @@ def _families(measurement: Measurement, system: Linearised, factor: Array) -> tu
     every, at = measurement.side_by_side
     every = every * factor[:, None] if isinstance(every, np.ndarray) else diags(factor) @ every
     products = squared(every) - system.basis.absorbed_of(every)
-    found = []
+    families = []
     for number, family in enumerate(measurement.families):
         if number not in at:
-            found.append(_weighted(family, system, factor))
+            families.append(_weighted(family, system, factor))
             continue
         shape = family.columns.count, family.columns.parameters
         own, each = products[at[number], at[number]].reshape(*shape, *shape), np.arange(shape[0])
-        found.append(_of(family, family.columns.weighted(factor), own[each, :, each], factor))
-    return tuple(found)
+        families.append(_of(family, family.columns.weighted(factor), own[each, :, each], factor))
+    return tuple(families)
 
 
 def _weighted(family: CandidateGroup, system: Linearised, factor: Array) -> CandidateGroup:

@@ -61,8 +61,8 @@ def _unit_of(term: Term) -> str:
     of_component = term.spot.acting.unit_of(term.spot.component)
     # a unit that is a quotient itself, such as mm/m, cannot stand behind another /
     by_column = [known[name].heading_unit or known[name].unit for name in powers for _ in range(powers[name])]
-    if any(known[name].of_data for name in powers) and all(_NAMED.fullmatch(one) for one in by_column):
-        return "/".join([of_component, *(one for one in by_column if one != "1")])
+    if any(known[name].of_data for name in powers) and all(_NAMED.fullmatch(unit) for unit in by_column):
+        return "/".join([of_component, *(unit for unit in by_column if unit != "1")])
     unit = compound(of_component).powers
     for name, power in powers.items():
         unit = _divided(unit, compound(known[name].unit).powers, power)

@@ -139,13 +139,13 @@ class Library:
 
     def at(self, places: Collection[Place]) -> Library:
         """Return the terms of all readings and of some places at least."""
-        found = next((one for one in (*self._parts, self) if one.places.issuperset(places)), self)
-        if found is self and self.places.difference(places):
-            found = Library(self.job, self.system, places)
+        library = next((part for part in (*self._parts, self) if part.places.issuperset(places)), self)
+        if library is self and self.places.difference(places):
+            library = Library(self.job, self.system, places)
             # no number twice: the measurement keeps products by it
-            found.numbers = self.numbers
-            self._parts.append(found)
-        return found
+            library.numbers = self.numbers
+            self._parts.append(library)
+        return library
 
     @cached_property
     def families(self) -> tuple[CandidateGroup, ...]:
@@ -283,6 +283,6 @@ def _at(job: AdjustedJob, system: Linearised, acting: Acting) -> tuple[Array, di
                 partly.add(name)
     acting_on = np.flatnonzero(whole.any(axis=1))
     # lengths may have no time beside sightings that have one: there a formula has no value, not that of 0
-    seen = {name: one[acting_on] for name, one in values.items() if name not in partly}
-    chosen = kept(seen, {name for name, one in known.items() if one.of_data})
+    seen = {name: column[acting_on] for name, column in values.items() if name not in partly}
+    chosen = kept(seen, {name for name, variable in known.items() if variable.of_data})
     return whole, {name: values[name] for name in chosen}

@@ -148,12 +148,12 @@ def _as_likely(start: Lawful, chosen: Term) -> tuple[Term, ...]:
     for number, terms in enumerate(start.library.terms):
         gain, price, _ = start.state.gains_of_family(number)
         tried += zip(np.where(gain > 0, gain - price, -np.inf).tolist(), terms, strict=True)
-    tried.sort(key=lambda one: -one[0])
-    found = {_subject(chosen): chosen}
+    tried.sort(key=lambda scored: -scored[0])
+    likely = {_subject(chosen): chosen}
     for net, term in tried:
         if net > tried[0][0] - ALIKE:
-            found.setdefault(_subject(term), term)
-    return tuple(found.values())[1:]
+            likely.setdefault(_subject(term), term)
+    return tuple(likely.values())[1:]
 
 
 def _subject(term: Term) -> tuple[object, ...]:
@@ -176,7 +176,7 @@ def _bases(plain: State) -> Iterator[State]:
 def _gains(lawful: Lawful, base: State, ordered: Ordered) -> list[Gain]:
     """Return the held-out gain of the laws of 1, 2, ... terms; each fold has the laws that the others choose."""
     pairs = [*ordered(_Folds(lawful), fold_numbers(base.measurement))]
-    return [gain_of(one) for one in zip(*pairs, strict=True)]
+    return [gain_of(predictions) for predictions in zip(*pairs, strict=True)]
 
 
 @dataclass(frozen=True)
@@ -194,8 +194,8 @@ class _Folds:
         before, pairs = others.predicted(), list[tuple[Held, Held]]()
         for count in range(len(self.lawful.steps)):
             # once no term enters in a fold, no further one does there
-            if len(fixed) == bare + count and (one := self._chosen(others, count)) is not None:
-                fixed.append(one)
+            if len(fixed) == bare + count and (term := self._chosen(others, count)) is not None:
+                fixed.append(term)
                 others = every.with_fixed(fixed)
             pairs.append((before, others.predicted() if len(fixed) > bare else before))
         return pairs

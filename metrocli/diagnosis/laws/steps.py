@@ -73,13 +73,13 @@ def _places(state: State, library: Library, needed: float) -> list[Place]:
     """
     if needed <= 0:
         return [*library.places]
-    found, system = [], state.measurement.system
+    places, system = [], state.measurement.system
     for where in sorted(library.places):
         rows = np.flatnonzero(system.rows_at(dict([where])))
         # without those of a place that has all redundancy nothing is left to explain
         if len(rows) >= state.freedoms or (len(rows) and _gain_without(state, rows) >= needed):
-            found.append(where)
-    return found
+            places.append(where)
+    return places
 
 
 def _gain_without(state: State, rows: Index) -> float:
@@ -149,7 +149,7 @@ def best_terms(lawful: Lawful) -> list[tuple[float, int, int]]:
             spot = number, *term.place, term.spot.component
             if (place is None or term.place == place) and spot not in best:
                 best[spot] = float(net[at]), number, at
-    return sorted(best.values(), key=lambda one: -one[0])
+    return sorted(best.values(), key=lambda scored: -scored[0])
 
 
 def _scanned(lawful: Lawful, family: int, number: int, refined: Term | None = None) -> tuple[Term, Fixed]:

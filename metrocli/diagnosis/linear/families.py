@@ -135,7 +135,11 @@ def _family(system: Linearised, items: Sequence[_Visible], missing: list[NotTest
     within = (np.sqrt(np.maximum(np.einsum("kqq->kq", gram), 0.0)) * _reach(items) >= 1).any(axis=1)
     shown_at = {items[number][0].instance for number in np.flatnonzero(visible & within).tolist()}
     beyond = {items[number][0].instance: items[number][0] for number in np.flatnonzero(visible & ~within).tolist()}
-    missing += [NotTested(one.effect, _BEYOND, one.where) for place, one in beyond.items() if place not in shown_at]
+    missing += [
+        NotTested(candidate.effect, _BEYOND, candidate.where)
+        for place, candidate in beyond.items()
+        if place not in shown_at
+    ]
     somewhere = shown_at | beyond.keys()
     kept = [
         i for i, (candidate, _) in enumerate(items) if (visible[i] and within[i]) or candidate.instance not in somewhere
@@ -158,7 +162,7 @@ def _reach(items: Sequence[_Visible]) -> Array:
     An adjustment calls a larger one undetermined, so that no job could be extended by it.
     """
     effect = items[0][0].effect
-    most = {one.name: one.plausible * (1.0 if effect.limited else REACH) for one in effect.parameters}
+    most = {parameter.name: parameter.plausible * (1.0 if effect.limited else REACH) for parameter in effect.parameters}
     return np.array([[most[name] for name in candidate.parameters] for candidate, _ in items])
 
 

@@ -120,20 +120,20 @@ class Linearised:
     @cached_property
     def rows_in_units(self) -> Mapping[str, Mask]:
         """The rows of the readings, or of their components, in each internal unit."""
-        found: dict[str, Mask] = {}
+        masks: dict[str, Mask] = {}
         for group in self.model.readings:
             names = np.array(group.observations.unit_of_each)
             for unit in dict.fromkeys(names.tolist()):
-                mask = found.setdefault(unit, np.zeros(self.rows, dtype=bool))
+                mask = masks.setdefault(unit, np.zeros(self.rows, dtype=bool))
                 mask[self.rows_of(group)] = np.tile(names == unit, group.observations.count)
-        return found
+        return masks
 
     def showing(self, change: Array) -> tuple[str, Mask]:
         """Return the unit of the readings that show most of a change (rows,), whitened, and their rows.
 
         Angles may show nothing of a law of distances.
         """
-        return max(self.rows_in_units.items(), key=lambda one: float((change[one[1]] ** 2).sum()))
+        return max(self.rows_in_units.items(), key=lambda unit_rows: float((change[unit_rows[1]] ** 2).sum()))
 
     @cached_property
     def times(self) -> Array:

@@ -89,5 +89,5 @@ def solved(lower: Array, right: Array) -> Array:
     if not right.size:
         return right
     # without the checks of `solve_triangular`, which take longer than most of these systems
-    found = dtrtrs(lower.T, right.reshape(len(right), -1), trans=True)[0]
-    return np.asarray(found.reshape(right.shape))
+    solution = dtrtrs(lower.T, right.reshape(len(right), -1), trans=True)[0]
+    return np.asarray(solution.reshape(right.shape))

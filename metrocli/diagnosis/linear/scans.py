@@ -50,7 +50,10 @@ def conditions_of(model: Model) -> Mapping[str, Array]:
     """Return the conditions of all readings, (..., n) each: some may have no distance, but all have times."""
     every = [group.observations.conditions for group in model.readings]
     names = dict.fromkeys(name for conditions in every for name in conditions)
-    return {name: np.concatenate([one[name] for one in every if name in one], axis=-1) for name in names}
+    return {
+        name: np.concatenate([conditions[name] for conditions in every if name in conditions], axis=-1)
+        for name in names
+    }
 
 
 def thinned(values: Array, most: int) -> Array:

@@ -74,7 +74,7 @@ def _all(job: AdjustedJob) -> Iterator[Proposal]:
 def _duration(model: Model) -> float:
     """Return how long the measurement takes [s]; 0 if its readings have no times."""
     elapsed = [group.observations.conditions.get(ELAPSED) for group in model.readings]
-    return max((float(np.ptp(one)) for one in elapsed if one is not None), default=0.0)
+    return max((float(np.ptp(times)) for times in elapsed if times is not None), default=0.0)
 
 
 def _in_words(seconds: float) -> str:

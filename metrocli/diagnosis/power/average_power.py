@@ -51,8 +51,8 @@ def size_found(grams: Array, ranks: Array, level: float, dof: int, wanted: float
     curves = [(strengths[ranks == r], *_curve(level, int(r), max(dof - int(r), 1))) for r in seen]
 
     def mean_power(size: float) -> float:
-        found: float = sum(float(np.interp(size * some, roots, powers).sum()) for some, roots, powers in curves)
-        return found / float(strengths.size)
+        total: float = sum(float(np.interp(size * some, roots, powers).sum()) for some, roots, powers in curves)
+        return total / float(strengths.size)
 
     return _size(mean_power, wanted, max(float(roots[-1]) for _, roots, _ in curves) / float(strengths.max()))
 
@@ -136,7 +136,7 @@ class ScatterCandidate:
 def scatter_candidates(state: State, noise: float = 1.0) -> tuple[ScatterCandidate, ...]:
     """Return what can be detected of effects that are sought throughout, for a noise in units of the declared one."""
     m = state.measurement
-    required = {m.scatters[found.key[0]][0].name for found in scattered_effects(state) if found.net > 0}
+    required = {m.scatters[scatter.key[0]][0].name for scatter in scattered_effects(state) if scatter.net > 0}
     return tuple(
         _candidate(state, effect, noise, effect.name in required)
         for effect in m.job.effects

@@ -49,9 +49,9 @@ class Knots:
         (column, across), (row, down) = parts
         place = (row[:, :, None] * self.counts[0] + column[:, None, :]).reshape(uv.shape[1], -1)
         weight = (down[:, :, None] * across[:, None, :]).reshape(uv.shape[1], -1)
-        found = np.zeros((uv.shape[1], self.counts[0] * self.counts[1]))
-        np.put_along_axis(found, place, weight, axis=1)
-        return found
+        splines = np.zeros((uv.shape[1], self.counts[0] * self.counts[1]))
+        np.put_along_axis(splines, place, weight, axis=1)
+        return splines
 
 
 @dataclass(frozen=True)
@@ -75,10 +75,10 @@ def shifted(uv: Array, shape: KnownShape | None) -> Array:
 
 def unshifted(uv: Array, shape: KnownShape | None) -> Array:
     """Return the image points (2, n) of the base lens that are shifted to (2, n); None: there is no shift."""
-    found = uv
+    points = uv
     for _ in range(0 if shape is None else _ROUNDS):
-        found = uv + found - shifted(found, shape)
-    return found
+        points = uv + points - shifted(points, shape)
+    return points
 
 
 def _along(extent: int, count: int, x: Array, slope: bool) -> tuple[Index, Array]:

@@ -243,8 +243,8 @@ class _Reader:
                 self.faults.append(model.fault(error))
                 continue
             if unit.powers != wanted.powers:
-                said = f"this is {described(unit)}, but {acting.name} is {described(wanted)}"
-                self.faults.append(model.fault(ExpressionError(said, 0, f"expected {base_unit(wanted.powers)}")))
+                message = f"this is {described(unit)}, but {acting.name} is {described(wanted)}"
+                self.faults.append(model.fault(ExpressionError(message, 0, f"expected {base_unit(wanted.powers)}")))
 
     def _tried(self, used: Mapping[str, Variable]) -> tuple[str, str] | None:
         """Add the faults that trial values show; return amplitude and phase if the effect is a wave."""

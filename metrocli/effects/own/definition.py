@@ -55,8 +55,8 @@ def constants_of_data(expression: str, refused: Mapping[str, str]) -> Iterator[E
     for name, value in CONSTANTS.items():
         match = re.search(rf"\b{name}\b", expression)
         if match is not None and name in refused:
-            said = f"'{name}' is {value:.6g}, and a column of the data has this name"
-            yield ExpressionError(said, match.start(), refused[name])
+            message = f"'{name}' is {value:.6g}, and a column of the data has this name"
+            yield ExpressionError(message, match.start(), refused[name])
 
 
 def lacking(unknown: Mapping[str, str], unclear: Iterable[ExpressionError]) -> str:

@@ -172,8 +172,8 @@ def gradients(expression: Expression, values: Mapping[str, Array]) -> tuple[Arra
     return value, dict(zip(names, by, strict=True))
 
 
-def _moving(found: Sequence[tuple[Array, dict[str, Array]]]) -> frozenset[str]:
-    return frozenset(name for _, by in found for name, values in by.items() if np.abs(values).max() > 0)
+def _moving(linearised: Sequence[tuple[Array, dict[str, Array]]]) -> frozenset[str]:
+    return frozenset(name for _, by in linearised for name, values in by.items() if np.abs(values).max() > 0)
 
 
 def is_wave(trial: Trial, parameters: Sequence[str], still: Sequence[str]) -> tuple[str, str] | None:

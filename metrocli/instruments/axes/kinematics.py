@@ -160,8 +160,8 @@ class FromBed(_OfMachine):
             by_block[ON_WORKPIECE] = of_workpiece.rotation
         if not changes:
             return Step(point, by_block=by_block)
-        found = self.derivatives(value, local, changes)
-        return Step(point, found.by_input, {**by_block, **found.by_block})
+        derivatives = self.derivatives(value, local, changes)
+        return Step(point, derivatives.by_input, {**by_block, **derivatives.by_block})
 
 
 @dataclass(frozen=True)
@@ -174,9 +174,9 @@ class OnWorkpiece(_OfMachine):
         """Return the point (3, n) with its derivatives."""
         tip, by_tool, by_spindle = self.tip(local)
         carried = _carried(self.motions(value, local), [(axis, False) for axis in self.machine.order], tip)
-        found = self.derivatives(value, local, carried.changes)
+        derivatives = self.derivatives(value, local, carried.changes)
         by_block = {TOOL: through(carried.rotation, by_tool), SPINDLE: through(carried.rotation, by_spindle)}
-        return Step(carried.point, found.by_input, {**by_block, **found.by_block})
+        return Step(carried.point, derivatives.by_input, {**by_block, **derivatives.by_block})
 
 
 @dataclass(frozen=True)
@@ -198,7 +198,7 @@ class TipMotion(_OfMachine):
         turn = through(through(carried.rotation, by_tool), np.swapaxes(axes, 0, 1))
         angles = vector_from_rotation(np.moveaxis(turn, -1, 0)).T
         changes = {axis: np.concatenate([change, carried.turns[axis]]) for axis, change in carried.changes.items()}
-        found = self.derivatives(value, local, changes)
+        derivatives = self.derivatives(value, local, changes)
         n, about = tip.shape[1], turned(local.members(SPINDLE)[0][:, None])[1]
         by_block = {
             TOOL: np.concatenate([through(carried.rotation, by_tool), np.zeros((3, 3, n))]),
@@ -206,7 +206,11 @@ class TipMotion(_OfMachine):
                 [through(carried.rotation, part) for part in (by_spindle, np.broadcast_to(about, (3, 3, n)))]
             ),
         }
-        return Step(np.concatenate([carried.point - nominal, angles]), found.by_input, {**by_block, **found.by_block})
+        return Step(
+            np.concatenate([carried.point - nominal, angles]),
+            derivatives.by_input,
+            {**by_block, **derivatives.by_block},
+        )
 
 
 def nominal_tip(machine: Machine, position: Array, vector: Array) -> tuple[Array, Array]:

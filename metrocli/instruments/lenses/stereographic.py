@@ -113,8 +113,8 @@ class StereographicGrid:
             whole = np.where(whole > 0, whole, np.nan)
             u = held - np.stack([yy * gap[0] - xy * gap[1], xx * gap[1] - yx * gap[0]]) / whole
         held = np.nan_to_num(u)
-        found = np.isfinite(u) & (np.abs(held + self.shift(held, shifts) - target) < _SOLVED)
-        return np.where(found.all(axis=0), held, np.nan)
+        solved = np.isfinite(u) & (np.abs(held + self.shift(held, shifts) - target) < _SOLVED)
+        return np.where(solved.all(axis=0), held, np.nan)
 
 
 def straightest(basis: Any, counts: tuple[int, int], wanted: Array) -> Array:

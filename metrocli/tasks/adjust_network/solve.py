@@ -272,8 +272,8 @@ def _must_be_determined(network: Network, solution: Solution, out: Sequence[Susp
         gone = [f"  Left out as wrong: {listed([suspect.name for suspect in out])}"] if out else []
         raise UndeterminedError("\n".join([solution.outcome.value, *lines, *gone, *_cures(solution)]), solution.misfit)
     if not solution.outcome.good:
-        told = f"{solution.outcome.value} ({solution.iterations} steps)"
-        raise NotConvergedError(told + sightings_to_blame(network), solution.misfit)
+        message = f"{solution.outcome.value} ({solution.iterations} steps)"
+        raise NotConvergedError(message + sightings_to_blame(network), solution.misfit)
 
 
 def _cures(solution: Solution) -> Iterator[str]:

@@ -131,9 +131,9 @@ def build(
     nominal = {TARGET: targets.points}
     model = Model(blocks, (group, *others), datum, (IMAGES,), places, nominal=nominal)
     notes = () if commanded.machine is None else (note_of(motion),)
-    told = (*camera.warnings, *listed.warnings, *warnings, *commanded.warnings())
+    all_warnings = (*camera.warnings, *listed.warnings, *warnings, *commanded.warnings())
     sources = {"machine": JointInput(spindle.MACHINE, motion.turn, motion.digest)} if len(motion.turn) else {}
-    return AlignmentProblem(model, camera, sighted, told, notes=notes, sources=sources)
+    return AlignmentProblem(model, camera, sighted, all_warnings, notes=notes, sources=sources)
 
 
 def _of_exposures(exposed: Exposures, observations: Observations) -> Observations:

@@ -57,16 +57,16 @@ class SpindlePoses:
 
         Raises InputError where images that were taken at once have different poses.
         """
-        values, found, faults = self.at(np.arange(len(self.commanded))), dict[str, int](), list[Fault]()
+        values, row_of, faults = self.at(np.arange(len(self.commanded))), dict[str, int](), list[Fault]()
         names = self.commanded.texts("image")
         for row, name in enumerate(names):
-            first = found.setdefault(exposure_of(cameras, name), row)
+            first = row_of.setdefault(exposure_of(cameras, name), row)
             if (values[first] != values[row]).any():
                 message = f"images '{names[first]}' and '{name}' are taken at once, and their poses differ"
                 faults.append(Fault(message, self.commanded.file))
         if faults:
             raise InputError(faults)
-        return found
+        return row_of
 
     def at(self, rows: Index) -> Array:
         """Return the commanded poses (rows, 6) of some rows."""

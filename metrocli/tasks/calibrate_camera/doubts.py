@@ -38,7 +38,7 @@ class PrincipalPoint:
     image_size: tuple[int, int]
     held: Array
     """Where the job holds it; NaN on an axis on which it is estimated"""
-    found: Array
+    seen: Array
     std: Array
 
     @property
@@ -55,31 +55,31 @@ class PrincipalPoint:
         if self._wrong.any():
             return [] if self.doubts() else [self._contradicted()]
         middle = (np.array(self.image_size) - 1) / 2
-        far = np.abs(self.found - middle) - _CERTAIN * self.std > _FAR * np.array(self.image_size)
+        far = np.abs(self.seen - middle) - _CERTAIN * self.std > _FAR * np.array(self.image_size)
         if not far.any():
             return []
-        crossed = np.abs(self.found - middle[::-1]) - _CERTAIN * self.std <= _FAR * np.array(self.image_size)
+        crossed = np.abs(self.seen - middle[::-1]) - _CERTAIN * self.std <= _FAR * np.array(self.image_size)
         size = "check image_size: the coverage is computed from it"
         check = "are the columns u and v exchanged?" if crossed.all() else size
         return [
-            f"the principal point {_point(self.found)} px lies far from the middle {_point(middle)} px of an "
+            f"the principal point {_point(self.seen)} px lies far from the middle {_point(middle)} px of an "
             f"image of {self.image_size[0]} x {self.image_size[1]} px: {check}"
         ]
 
     @property
     def _off(self) -> Array:
         """Differences of held coordinates as shares of the image size, NaN for estimated ones."""
-        return np.asarray(np.abs(self.found - self.held) / np.array(self.image_size))
+        return np.asarray(np.abs(self.seen - self.held) / np.array(self.image_size))
 
     @property
     def _wrong(self) -> Mask:
-        return np.asarray(np.abs(self.found - self.held) > _CERTAIN * self.std)
+        return np.asarray(np.abs(self.seen - self.held) > _CERTAIN * self.std)
 
     def _contradicted(self) -> str:
-        at = np.where(np.isnan(self.held), self.found, self.held)
+        at = np.where(np.isnan(self.held), self.seen, self.held)
         return (
             f"the principal point is held at {_point(at)} px, but the readings see it at "
-            f"({', '.join(map(units.with_std, self.found, self.std))}) px: estimate cx and cy, or check image_size, "
+            f"({', '.join(map(units.with_std, self.seen, self.std))}) px: estimate cx and cy, or check image_size, "
             "whose middle they are by default"
         )
 
@@ -124,8 +124,8 @@ def held_doubts(problem: CameraProblem, settings: CameraSettings, adjusted: Adju
     freed = adjust(model.blocks.values(), [adjusted.group, *problem.others], problem.datum)
     if not freed.outcome.good or freed.cost >= _MUCH * solution.cost:
         return []
-    known, found = (state.blocks[camera.LENS].named() for state in (solution, freed))
-    fixed = ", ".join(f"{name} is held at {known[name]:g}, but the readings see {found[name]:.4g}" for name in held)
+    known, estimated = (state.blocks[camera.LENS].named() for state in (solution, freed))
+    fixed = ", ".join(f"{name} is held at {known[name]:g}, but the readings see {estimated[name]:.4g}" for name in held)
     return [
         f"{fixed}: with {' and '.join(held)} free the squared residuals are {freed.cost / solution.cost:.2g} times as "
         "large; estimate what is held, or correct it"

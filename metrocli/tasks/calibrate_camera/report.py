@@ -206,9 +206,9 @@ def _warnings(solved: _Calibration, views: Table | None) -> list[str]:
     problem, adjusted = solved.problem, solved.adjusted
     lines = [*image_warnings(adjusted, problem.sighted, views), *units_doubted(longer_than_listed(problem))]
     lines += correlation_warnings(solved.delivered.high_correlations())
-    found = problem.with_blocks({**problem.blocks, **solved.solution.blocks})
-    lines += angle_warnings(found, solved.solution.std(camera.LENS)[0])
-    lines += turned_too_little(found) + seen_from_behind(found)
+    adjusted_problem = problem.with_blocks({**problem.blocks, **solved.solution.blocks})
+    lines += angle_warnings(adjusted_problem, solved.solution.std(camera.LENS)[0])
+    lines += turned_too_little(adjusted_problem) + seen_from_behind(adjusted_problem)
     lines += noise_warnings(solved.solution) if adjusted.noise is None else []
     lines += solved.centre.warnings() if solved.centre is not None else []
     return lines + [text for text, among in folds(solved.problem, adjusted) if not among]

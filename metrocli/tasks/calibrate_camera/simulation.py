@@ -116,10 +116,10 @@ def _true_values(shown: Sequence[SimulatedCamera], truth: CameraSimulation) -> d
 def conditions(truth: CameraSimulation, images: int) -> dict[str, Array]:
     """Return time [s] and temperature [degC] of each image, as far as the simulation sets them."""
     turn = np.arange(images, dtype=float)
-    found = {} if truth.interval is None else {"t": turn * truth.interval}
+    covariates = {} if truth.interval is None else {"t": turn * truth.interval}
     if truth.warming:
-        found["temp"] = _FIRST_TEMPERATURE + truth.warming * turn / max(images - 1, 1)
-    return found
+        covariates["temp"] = _FIRST_TEMPERATURE + truth.warming * turn / max(images - 1, 1)
+    return covariates
 
 
 def simulated_targets(settings: Settings, files: Files, rng: np.random.Generator) -> TargetCoordinates:

@@ -60,10 +60,10 @@ def about_the_middle(problem: CameraProblem) -> CameraProblem:
         problem.blocks, problem.image_size, lambda blocks: _robust(problem, blocks, problem.datum)
     )
     both = robustly(problem), robustly(problem.with_blocks(held))
-    distances = [np.abs(one.images.residuals(one.blocks)) for one in both]
+    distances = [np.abs(solution.images.residuals(solution.blocks)) for solution in both]
     # beyond three robust standard deviations of the better one all errors count alike
-    most = 3 * 1.4826 * min(float(np.median(one)) for one in distances)
-    return both[int(np.argmin([float((np.minimum(one, most) ** 2).sum()) for one in distances]))]
+    most = 3 * 1.4826 * min(float(np.median(distance)) for distance in distances)
+    return both[int(np.argmin([float((np.minimum(distance, most) ** 2).sum()) for distance in distances]))]
 
 
 def without_strays(listed: Array, best: CameraProblem, resected: Resection) -> CameraProblem:

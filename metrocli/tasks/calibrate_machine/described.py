@@ -197,7 +197,7 @@ def placed(axis: Axis, position: float, unit: str | None = None, decimals: int =
 
 def must_support(machine: Machine, position: Array, blocks: Mapping[str, Block]) -> None:
     """Raise UndeterminedError if a free knot has no reading in the intervals next to it."""
-    told = []
+    lines = []
     for axis, own in zip(machine.axes, position, strict=True):
         free: Mask = np.asarray(blocks[axis.block].free.any(axis=1))
         index, weight = axis.places(own)
@@ -208,12 +208,12 @@ def must_support(machine: Machine, position: Array, blocks: Mapping[str, Block])
         if bare.size:
             where = ", ".join(placed(axis, axis.members[i], "") for i in bare[:5]) + (" ..." if bare.size > 5 else "")
             knots = f"{len(axis.members)} knots of {axis.letter} (at {where} {placed(axis, 0.0)[2:]})"
-            told.append(
+            lines.append(
                 f"no reading is near {bare.size} of the {knots}: "
                 f"give {axis.letter.lower()} fewer knots, or measure there"
             )
-    if told:
-        raise UndeterminedError("\n".join(told))
+    if lines:
+        raise UndeterminedError("\n".join(lines))
 
 
 def tool_prior(blocks: Mapping[str, Block], settings: Settings) -> tuple[Group, ...]:

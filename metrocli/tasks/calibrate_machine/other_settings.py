@@ -122,8 +122,8 @@ def _reordered(letters: Sequence[str]) -> Iterator[str]:
 def _other_tools(machine: MachineSettings) -> Iterator[_Other]:
     """Yield tool vectors that the readings determine; they do not control a single one."""
     if len(machine.tools or {}) > 1 and machine.tool_std < _VAGUE:
-        told = format_quantity(_VAGUE, "mm")
-        words = f"the readings see other tool vectors than those listed, as `tool_uncertainty: {told}` shows"
+        vague = format_quantity(_VAGUE, "mm")
+        words = f"the readings see other tool vectors than those listed, as `tool_uncertainty: {vague}` shows"
         mistake = Mistake("machine.tools", words, "the tool vectors as measured")
         yield mistake, replace(machine, tool_uncertainty=_VAGUE)
 

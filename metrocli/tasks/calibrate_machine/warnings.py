@@ -70,8 +70,10 @@ def machine_warnings(solved: AdjustedMachine, settings: Settings, more: Sequence
     if rows:
         key, names = next(iter(solved.problem.readings.observations.keys)), solved.problem.names
         worst = sorted(zip(tests, [names[i] for i in rows], strict=True), reverse=True)
-        told = [f"{key} {name} (w = {test:.1f})" for test, name in worst]
-        lines.append(beyond_bound(told, solved.suspects.critical, f"{REMOVE} leaves them out" * (REMOVE in wording)))
+        suspected = [f"{key} {name} (w = {test:.1f})" for test, name in worst]
+        lines.append(
+            beyond_bound(suspected, solved.suspects.critical, f"{REMOVE} leaves them out" * (REMOVE in wording))
+        )
     return lines
 
 

@@ -14,7 +14,7 @@ from metrocli.errors import InputError
 from metrocli.frozen import dataclass
 from metrocli.tasks.fit_part.levels import Levels, robust_step
 from metrocli.tasks.fit_part.nominals import OfSurfaces
-from metrocli.tasks.fit_part.start import found
+from metrocli.tasks.fit_part.start import searched_pose
 from metrocli.tasks.fit_part.stock import Stock
 
 _BETTER = 5.0
@@ -81,7 +81,7 @@ def misread(nominal: OfSurfaces, even: Levels, start: Array) -> Iterator[str]:
 
     def read_with(factors: Array, seed: int = 1) -> _Fit:
         points = factors * measured
-        return at(points, found(nominal, points, surface, start, seed))
+        return at(points, searched_pose(nominal, points, surface, start, seed))
 
     given, mirrored = at(measured, even.to_part), read_with(_MIRROR)
     if given.is_rough:

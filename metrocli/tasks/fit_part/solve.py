@@ -32,7 +32,7 @@ from metrocli.tasks.fit_part.levels import Levels, robust_levels
 from metrocli.tasks.fit_part.misread import misread
 from metrocli.tasks.fit_part.nominals import OfMesh, OfSurfaces
 from metrocli.tasks.fit_part.settings import NominalFile, PartStart, Settings
-from metrocli.tasks.fit_part.start import found, unturned
+from metrocli.tasks.fit_part.start import searched_pose, unturned
 from metrocli.tasks.fit_part.stock import Stock
 from metrocli.tasks.fit_part.uncertainty import Sensitivity
 from metrocli.tasks.shared.part import Part
@@ -159,7 +159,7 @@ def _rough(prepared: Prepared) -> Array:
         laid = robust_levels(nominal, places.points[some], None, pose, places.sigma[some])
         if c.open_motions(laid.stock, laid.to_part):
             return laid.to_part
-    return found(nominal, places.points, surface, prepared.start)
+    return searched_pose(nominal, places.points, surface, prepared.start)
 
 
 def fitted_part(

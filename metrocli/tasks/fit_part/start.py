@@ -46,7 +46,7 @@ class Sought(Protocol):
         """Return how far the points of each surface are from the point that the nominal gives of it [mm]."""
 
 
-def found(nominal: Sought, measured: Array, surface: Index | None, start: Array, seed: int = 1) -> Array:
+def searched_pose(nominal: Sought, measured: Array, surface: Index | None, start: Array, seed: int = 1) -> Array:
     """Return the pose (6,) that brings measured points (n, 3) roughly onto their surfaces.
 
     `start` (6,) is the pose into the part frame that the job gives, or that of equal frames.

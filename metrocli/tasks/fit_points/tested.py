@@ -64,10 +64,10 @@ def tested(problem: PointPairs, solution: Solution) -> Tested:
         groups = [group for group in solution.groups if group.name in tests and tests[group.name].normalised.any()]
         if groups:
             merged = _merged([tests[group.name] for group in groups], together)
-            found = suspects(merged, fit)
-            rows = np.concatenate([_rows(group, len(problem.names), together) for group in groups])[found.rows]
-            worst += zip(found.tests.tolist(), rows.tolist(), strict=True)
-            critical = max(critical, found.critical)
+            suspected = suspects(merged, fit)
+            rows = np.concatenate([_rows(group, len(problem.names), together) for group in groups])[suspected.rows]
+            worst += zip(suspected.tests.tolist(), rows.tolist(), strict=True)
+            critical = max(critical, suspected.critical)
     certain = replace(solution, covariance=solution.covariance_or_raise().scaled(factor**2))
     largest = {row: test for test, row in sorted(worst)}  # the largest of a point comes last
     ordered = dict(sorted(largest.items(), key=lambda item: -item[1]))

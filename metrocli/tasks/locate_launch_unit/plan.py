@@ -85,7 +85,7 @@ def planned_measurement(located: Located, planned: PlannedLines, noise: LaunchUn
     files, blocked = _programs(prospect)
     return Plan(
         kind=KIND.name,
-        notes=(*_notes(prospect, more), *_told(prospect, more)),
+        notes=(*_notes(prospect, more), *_notes_on_alignment(prospect, more)),
         figures=figures(located),
         tables={"lines": margins, "points": _points(lines), **_further_table(prospect, more)},
         files=files,
@@ -206,7 +206,7 @@ def _notes(prospect: Prospect, more: Sequence[Further]) -> list[str]:
     return lines
 
 
-def _told(prospect: Prospect, more: Sequence[Further]) -> list[str]:
+def _notes_on_alignment(prospect: Prospect, more: Sequence[Further]) -> list[str]:
     """Return notes on the probability after the units are aligned at the far end of each line."""
     aligned = prospect.wanted.worst_aligned(prospect.uncertain)
     lines = [

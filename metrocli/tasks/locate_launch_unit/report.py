@@ -101,7 +101,7 @@ def _as_adjusted(
         warnings=(
             *problem.warnings,
             *noise_warnings(solution, cures=(REMOVE,)),
-            *_told(outliers, located.critical, bool(statistics["rejected"])),
+            *_outlier_warnings(outliers, located.critical, bool(statistics["rejected"])),
             *_repeated(problem.readings),
         ),
     )
@@ -184,7 +184,7 @@ def _outliers(located: Located) -> Table:
     return Table.of_rows(("pose [text]", "reading [text]", "w"), rows)
 
 
-def _told(outliers: Table, critical: float, removed: bool) -> list[str]:
+def _outlier_warnings(outliers: Table, critical: float, removed: bool) -> list[str]:
     rows = zip(*(outliers.texts(name) for name in ("pose", "reading")), outliers.numbers("w"), strict=True)
     names = [f"{reading} of {pose} (w = {w:.1f})" for pose, reading, w in rows]
     cure = {"cure": "left out"} if removed else {}

@@ -101,13 +101,13 @@ def not_converged(network: TracerNetwork, state: Mapping[str, Block], solution: 
 
     It names the points whose lengths do not meet there, if those of most points do.
     """
-    told = f"{solution.outcome.value} ({solution.iterations} steps)"
+    outcome = f"{solution.outcome.value} ({solution.iterations} steps)"
     points, _, typical = _suspicious(network, state)
     if not 0 < _FEW * len(points) <= int((network.seen > 0).sum()):
-        return NotConvergedError(told, solution.misfit)
+        return NotConvergedError(outcome, solution.misfit)
     names = listed([network.blocks[t.POINT].members[point] for point in points.tolist()])
     return NotConvergedError(
-        f"{told}: the lengths of {len(points)} points do not meet, those of all others do: {names}; "
+        f"{outcome}: the lengths of {len(points)} points do not meet, those of all others do: {names}; "
         "`outliers: remove` leaves wrong lengths out",
         typical,
     )

@@ -92,12 +92,12 @@ def _lines(layout: PlannedNetwork) -> Iterator[Estimate]:
     """Yield the distances of points at opposite ends of the volume: along its axes and its diagonals."""
     points, names = layout.places, layout.names
     middle, half = (points.max(axis=0) + points.min(axis=0)) / 2, np.ptp(points, axis=0) / 2
-    told = set()
+    pairs = set()
     for direction in [*np.eye(3), *(np.array([1.0, y, z]) for y, z in product((1, -1), repeat=2))]:
         ends = middle - half * direction, middle + half * direction
         a, b = (int(np.argmin(np.linalg.norm(points - end, axis=1))) for end in ends)
-        if a != b and (a, b) not in told:
-            told.add((a, b))
+        if a != b and (a, b) not in pairs:
+            pairs.add((a, b))
             yield Estimate(f"{names[a]} - {names[b]}", *layout.distance(a, b), "mm")
 
 

@@ -230,7 +230,7 @@ def _warnings(solved: AdjustedTracers) -> list[str]:
     ]
     if wrong:
         lines.append(f"{len(wrong)} lengths are left out as wrong: {listed(wrong)} (table rejected)")
-    told = [
+    suspected = [
         f"{suspect.point}/{name_of(keys, 'tracer', suspect.rows[0])} (w = {suspect.test:.1f}{_or(suspect.others)})"
         for suspect in solved.suspects
         if suspect.tracer
@@ -240,8 +240,10 @@ def _warnings(solved: AdjustedTracers) -> list[str]:
     bound = f"the outlier bound |w| = {solved.critical:.2f}"
     if solved.solution.sigma0 > 1:
         bound += " (w divided by sigma0, the largest by sigma0 without that length)"
-    if told:
-        lines.append(f"{len(told)} lengths exceed {bound}: {listed(told, 5)}; `outliers: remove` leaves them out")
+    if suspected:
+        lines.append(
+            f"{len(suspected)} lengths exceed {bound}: {listed(suspected, 5)}; `outliers: remove` leaves them out"
+        )
     if alike:
         lines.append(
             f"points with a wrong length beyond {bound}: {listed(alike, 5)}; it cannot be identified, "

@@ -266,14 +266,14 @@ def _suspects(group: Group, w: Array, units: Array, bound: float) -> tuple[Suspe
         tests = w[rows] / units[rows].min()
         worst = int(rows[np.argmax(tests)])
         alike = (tests >= (1 - EQUAL) * tests.max()) | (tests**2 > tests.max() ** 2 - _TOSS)
-        told = alike.sum() == 1
+        decided = alike.sum() == 1
         suspects.append(
             SuspectedLength(
                 keys["point"][worst],
-                keys["tracer"][worst] if told else "",
+                keys["tracer"][worst] if decided else "",
                 float(tests.max()),
-                tuple(name_of(keys, "tracer", row) for row in rows[as_likely(tests**2)] if row != worst or not told),
-                (worst,) if told else tuple(rows[alike].tolist()),
+                tuple(name_of(keys, "tracer", row) for row in rows[as_likely(tests**2)] if row != worst or not decided),
+                (worst,) if decided else tuple(rows[alike].tolist()),
             )
         )
     return tuple(sorted(suspects, key=lambda suspect: -suspect.test))

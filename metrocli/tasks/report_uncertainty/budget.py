@@ -100,12 +100,12 @@ def lines(budget: MeasurandBudget) -> list[str]:
     return aligned(rows, left=(0, 3)) + more
 
 
-def reverse_lines(budget: MeasurandBudget, found: Mapping[str, Any]) -> list[str]:
-    """Return a reverse budget as lines of text; `found` has the U and the target of the measurand."""
+def reverse_lines(budget: MeasurandBudget, reverse: Mapping[str, Any]) -> list[str]:
+    """Return a reverse budget as lines of text; `reverse` has the U and the target of the measurand."""
     if budget.target is None:
         return []
     head = f"target U = {budget.target:.6g} {budget.unit}".strip()
-    if found["reached"]:
+    if reverse["reached"]:
         return [f"{head}: reached"]
     if budget.needed is None:
         return [f"{head}: not reached; the law of propagation does not apply, so no input can be named"]
@@ -125,7 +125,7 @@ def reverse_lines(budget: MeasurandBudget, found: Mapping[str, Any]) -> list[str
         ]
     if unable:
         printed.append(f"cannot be reached by this input alone: {listed(unable, _LINES)}")
-    return [*printed, f"all inputs together reach it with {_at_most(100 * found['factor'])} % of their u"]
+    return [*printed, f"all inputs together reach it with {_at_most(100 * reverse['factor'])} % of their u"]
 
 
 def _at_most(value: float) -> str:

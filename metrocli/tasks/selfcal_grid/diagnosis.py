@@ -171,7 +171,7 @@ def with_structure(solved: AdjustedGrid) -> tuple[AdjustedGrid, Structured]:
     estimates = (bg.VIEW, *(effect.block for effect in solved.problem.effects))
     robust = _Robust(sample, correlated, np.diag(white))
     structured = Structured(robust, (bg.MACHINE,), estimates, _OVER)
-    return replace(solved, found=FieldSolution(solved.solution, correlated)), structured
+    return replace(solved, field_solution=FieldSolution(solved.solution, correlated)), structured
 
 
 def sharing(solved: AdjustedGrid) -> int:

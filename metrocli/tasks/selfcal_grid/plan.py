@@ -30,7 +30,7 @@ _WORKED_OUT = 11
 class _Worth:
     """What a set of views determines, and how well."""
 
-    found: Open
+    undetermined: Open
     gain: float
     """Root mean square standard uncertainty of the machine error over the noise; inf if a direction is open"""
     largest: float
@@ -69,7 +69,7 @@ def plan(settings: Settings, lengths: Table | None = None) -> Plan:
     size = " x ".join(str(2 * n + 1) for n in small.tolist())
     known = bool(np.isfinite(own.gain))
     notes = (
-        *own.found.sentences(),
+        *own.undetermined.sentences(),
         *([f"noise gain {own.gain:.3f} rms, {own.largest:.3f} at most"] if known else []),
         f"other sets of views, on a grid of {size}:",
     )
@@ -118,7 +118,7 @@ def _problem(views: Sequence[bg.View], half: Index, given: _Given) -> GridProble
 
 def _table(rows: Sequence[tuple[str, _Worth | None]]) -> Table:
     listed = [
-        (words, str(worth.found.count), worth.gain, worth.largest) if worth else (words, "more", np.inf, np.inf)
+        (words, str(worth.undetermined.count), worth.gain, worth.largest) if worth else (words, "more", np.inf, np.inf)
         for words, worth in rows
     ]
     return Table.of_rows(("views", "undetermined", "noise_gain", "largest_gain"), listed)

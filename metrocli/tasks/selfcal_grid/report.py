@@ -50,7 +50,7 @@ def report(solved: AdjustedGrid, left_open: Open, left_out: Sequence[LeftOut], p
     form, length = _forms(solved, machine)
     mountings, covariance = _mountings(solved)
     groups = solved.problem.fields.groups
-    effects, effect_arrays = effect_results(solved.problem.effects, solved.found)
+    effects, effect_arrays = effect_results(solved.problem.effects, solved.field_solution)
     hidden = uncontrolled(solved.problem)
     tables = {
         "machine_error": _table(machine),
@@ -72,7 +72,7 @@ def report(solved: AdjustedGrid, left_open: Open, left_out: Sequence[LeftOut], p
     return Result(
         kind=KIND.name,
         title="",
-        estimates=(*mountings, *estimates(solved.problem.effects, solved.found)),
+        estimates=(*mountings, *estimates(solved.problem.effects, solved.field_solution)),
         covariance=covariance,
         statistics=statistics,
         tables=tables,
@@ -154,7 +154,7 @@ def _mountings(solved: AdjustedGrid) -> tuple[list[Estimate], Array]:
     columns = solved.design.partition.columns
     block, places = solved.solution.blocks[bg.VIEW], columns[bg.VIEW].ravel()
     effects = [columns[effect.block].ravel() for effect in solved.problem.effects]
-    covariance = solved.found.between(np.concatenate([part[part >= 0] for part in (places, *effects)]))
+    covariance = solved.field_solution.between(np.concatenate([part[part >= 0] for part in (places, *effects)]))
     std = np.zeros(len(places))
     std[places >= 0] = np.sqrt(np.diag(covariance))[: int((places >= 0).sum())]
     std[~solved.determined[bg.VIEW].ravel()] = np.inf

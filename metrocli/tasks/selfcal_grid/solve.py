@@ -32,7 +32,7 @@ class AdjustedGrid:
     problem: GridProblem
     """The problem with the readings that were used"""
     whole: GridProblem
-    found: FieldSolution
+    field_solution: FieldSolution
     residuals: tuple[Residuals, ...]
     """Residuals of each group of readings"""
     suspects: Suspects
@@ -42,12 +42,12 @@ class AdjustedGrid:
     @property
     def design(self) -> FieldDesign:
         """Rank and covariance of the design."""
-        return self.found.design
+        return self.field_solution.design
 
     @property
     def solution(self) -> Solution:
         """Adjusted values and statistics."""
-        return self.found.solution
+        return self.field_solution.solution
 
     @cached_property
     def determined(self) -> Mapping[str, Mask]:

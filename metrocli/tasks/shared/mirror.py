@@ -89,12 +89,12 @@ class Mirrored:
     noun: str
     name: str
     member: int
-    found: Array
+    solved: Array
     other: Array
     gain: float
-    """Chi-square of the place found less that of the other one"""
+    """Chi-square of the solved place less that of the other one"""
     decided: bool
-    """Whether the list of places decides for the place found"""
+    """Whether the list of places decides for the solved place"""
 
     @property
     def better(self) -> bool:
@@ -104,7 +104,7 @@ class Mirrored:
     @property
     def words(self) -> str:
         """Both places, for a message."""
-        return f"{self.noun} {self.name} at {coordinates(self.found)} or {coordinates(self.other)}"
+        return f"{self.noun} {self.name} at {coordinates(self.solved)} or {coordinates(self.other)}"
 
 
 def of_tracers(solution: Solution, group: Group, listed_at: Array) -> NetworkLengths:
@@ -174,7 +174,7 @@ def must_be_decided(places: Sequence[Mirrored]) -> None:
 def hidden_by(places: Sequence[Mirrored]) -> Iterator[Hidden]:
     """Yield what no residual shows: places that only the list decides for, not their mirror images."""
     for place in places[:_MOST]:
-        apart = float(np.linalg.norm(place.other - place.found))
+        apart = float(np.linalg.norm(place.other - place.solved))
         other = _OTHERS.get(place.noun, "points")
         yield Hidden(
             f"mirror image of {place.noun} {place.name} in the plane of the {other} (its listed place decides)",

@@ -88,8 +88,8 @@ def tracers_of(lengths: Table, listed: Table | None, order: Callable[[list[str]]
     rows = np.flatnonzero(used)
     listed_at = np.full((len(names), 3), np.nan) if listed is None else listed.stacked("xyz")
     idle = tuple(names[row] for row in np.flatnonzero(~used))
-    found = tuple(names[row] for row in rows)
-    return Tracers(found, (np.cumsum(used) - 1)[place], listed_at[rows], sigma[rows], rows, idle, noun)
+    seen = tuple(names[row] for row in rows)
+    return Tracers(seen, (np.cumsum(used) - 1)[place], listed_at[rows], sigma[rows], rows, idle, noun)
 
 
 def observed(

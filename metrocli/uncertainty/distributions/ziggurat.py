@@ -75,8 +75,8 @@ class Ziggurat:
         tail = start + (dof + start) * np.expm1(2 / dof * rng.standard_exponential(len(x)))
         in_tail = chance**2 * tail * (dof + start) < start * (dof + tail)
         kept = np.where(lowest, in_tail, height < density)
-        found = np.where(lowest, np.copysign(np.sqrt(tail), x), x)
-        return np.where(kept, found, _polar(dof, rng, len(x)))
+        candidates = np.where(lowest, np.copysign(np.sqrt(tail), x), x)
+        return np.where(kept, candidates, _polar(dof, rng, len(x)))
 
 
 @cache

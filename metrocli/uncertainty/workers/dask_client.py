@@ -24,10 +24,10 @@ def must_listen(address: str) -> None:
 
     try:
         place = urlsplit(address)
-        with socket.create_connection((place.hostname, place.port or 8786), PATIENCE_S) as found:
-            found.settimeout(PATIENCE_S)
+        with socket.create_connection((place.hostname, place.port or 8786), PATIENCE_S) as connection:
+            connection.settimeout(PATIENCE_S)
             # a scheduler speaks first: the length of its handshake as 8 bytes, which is small; with TLS it waits
-            head = found.recv(8, socket.MSG_WAITALL) if place.scheme == "tcp" else b""
+            head = connection.recv(8, socket.MSG_WAITALL) if place.scheme == "tcp" else b""
     except TimeoutError as error:
         raise _unanswered(address, TimeoutError("it accepts the connection and is silent")) from error
     except (OSError, ValueError) as error:

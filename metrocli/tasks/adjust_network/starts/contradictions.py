@@ -47,7 +47,7 @@ def contradicting(network: Network, blocks: Mapping[str, Block]) -> dict[str, In
     """Return the lengths, bars and height differences that contradict the set-ups, by group."""
     groups = (group for group in _others(network) if group.name in _WORDS)
     rows = {group.name: np.flatnonzero(_off(group, blocks) > _limit(network)) for group in groups}
-    return {name: found for name, found in rows.items() if found.size}
+    return {name: wrong for name, wrong in rows.items() if wrong.size}
 
 
 def _astray(network: Network) -> tuple[Index, Array]:
@@ -60,16 +60,16 @@ def _astray(network: Network) -> tuple[Index, Array]:
     rows, places = placed(network.readings, network.start)
     point, limit = seen.point[rows], _limit(network)
     middle = medians(places, point, len(listed_at))[point]
-    found, off = [np.zeros(0, dtype=np.intp)], [np.zeros(0)]
+    astray, off = [np.zeros(0, dtype=np.intp)], [np.zeros(0)]
     for number in np.unique(point[np.linalg.norm(places - middle, axis=1) > limit / 2]).tolist():
         own = np.flatnonzero(point == number)
         votes = np.concatenate([places[own], listed_at[[number]]])
         votes = votes[np.isfinite(votes).all(axis=1)]
         apart = np.linalg.norm(places[own][:, None] - votes, axis=2)
         wrong = 2 * (apart <= limit).sum(axis=1) <= len(votes)
-        found.append(rows[own[wrong]])
+        astray.append(rows[own[wrong]])
         off.append(apart[wrong].max(axis=1))
-    return np.concatenate(found), np.concatenate(off)
+    return np.concatenate(astray), np.concatenate(off)
 
 
 def _in_words(network: Network, sightings: Index, off: Array) -> str:
@@ -122,10 +122,10 @@ def _alone(network: Network, rows: Index) -> Mask:
 def refusal(network: Network, rows: Mapping[str, Index]) -> NotConvergedError:
     """Return the error that names readings which contradict the set-ups."""
     texts = []
-    for name, found in rows.items():
+    for name, wrong in rows.items():
         group = network.model.group(name)
         off, keys = _off(group, network.blocks), group.observations.keys
-        texts += [f"{_ONE[name]} {'/'.join(text[i] for text in keys.values())} by {off[i]:.3g} mm" for i in found]
+        texts += [f"{_ONE[name]} {'/'.join(text[i] for text in keys.values())} by {off[i]:.3g} mm" for i in wrong]
     return NotConvergedError(
         f"readings contradict the set-ups: {listed(texts[:_NAMED])}.\n"
         "  Look at their values, signs and names; `outliers: remove` leaves them out"

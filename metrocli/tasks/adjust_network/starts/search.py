@@ -155,7 +155,7 @@ class _Search:
             self.points[seen.point[rows]] = poses.apply(turned, self.local[rows])
         self._place_over()
 
-    def found(self) -> NetworkStart:
+    def network_start(self) -> NetworkStart:
         """Return what is placed."""
         return NetworkStart(self.points, self.poses, np.nan_to_num(self.gamma))
 
@@ -200,15 +200,15 @@ def start(readings: NetworkReadings) -> NetworkStart:
     readings, given = with_level_beams(readings), readings.points.listed
     search = _Search(readings, given, levelled)
     search.run()
-    begun = search.found()
+    begun = search.network_start()
     if search.stuck() or max(disagreement(readings, begun)[0], list_offset(readings, begun)) > _LOOSE:
         search = _alone(readings, levelled)
         _onto_list(search, given)
     search.intersect()
     _must_be_joined(search)
     search.points = placed_by_lengths(readings, search.points)
-    must_agree(readings, search.found())
-    return search.found()
+    must_agree(readings, search.network_start())
+    return search.network_start()
 
 
 def _alone(readings: NetworkReadings, levelled: Mask) -> _Search:

@@ -66,10 +66,10 @@ def view_warnings(system: CameraSystem, solution: Solution) -> Iterator[str]:
     for number, (name, problem) in enumerate(system.alone.items()):
         own = replace(lens, values=lens.values[[number]], free=lens.free[[number]], members=("",))
         there = problem.blocks[camera.VIEW].with_values(views[system.exposed.camera == number])
-        found = problem.with_blocks({**problem.blocks, camera.LENS: own, camera.VIEW: there})
-        lines = angle_warnings(found, std[number]) + seen_from_behind(found)
+        solved = problem.with_blocks({**problem.blocks, camera.LENS: own, camera.VIEW: there})
+        lines = angle_warnings(solved, std[number]) + seen_from_behind(solved)
         yield from (f"{name}: {line}" for line in lines)
-        unturned += (f"{name}: {line}" for line in turned_too_little(found))
+        unturned += (f"{name}: {line}" for line in turned_too_little(solved))
     # all see one board: a single camera that is turned separates its errors from those of lenses
     if len(unturned) == len(system.cameras):
         yield from unturned

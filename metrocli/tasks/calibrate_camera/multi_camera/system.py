@@ -114,8 +114,8 @@ def system_of(
             link, covariance = shown
             model = extended(model, replace(link, block=f"{SHAPE} {name}", member=number), covariance)
     # a target of a network that one camera does not place is placed by all together
-    told = each if settings.rig != "network" else ()
-    warnings = (*sighted.warnings, *(line for problem in told for line in problem.sighted.warnings))
+    problems = each if settings.rig != "network" else ()
+    warnings = (*sighted.warnings, *(line for problem in problems for line in problem.sighted.warnings))
     warnings += units_doubted(size)
     system = CameraSystem(model, settings.rig, cameras, exposed, replace(sighted, warnings=warnings), alone)
     if not sighted.eccentric:

@@ -64,7 +64,7 @@ def sized(cameras: Mapping[str, OneOfSeveral], images: ImageSet) -> dict[str, On
     Raises InputError for images of one camera with different sizes, or of another size than the job states.
     """
     exposed = exposures({name: several.images for name, several in cameras.items()}, images.names)
-    found = {}
+    with_size = {}
     for number, (name, several) in enumerate(cameras.items()):
         own = [image for image, camera in zip(images.names, exposed.camera, strict=True) if camera == number]
         size = images.size_of(own) if own else several.image_size
@@ -73,8 +73,8 @@ def sized(cameras: Mapping[str, OneOfSeveral], images: ImageSet) -> dict[str, On
             raise InputError(
                 f"the images are {size[0]} x {size[1]} px, but cameras: {name}: image_size is {width} x {height} px"
             )
-        found[name] = replace(several, image_size=size)
-    return found
+        with_size[name] = replace(several, image_size=size)
+    return with_size
 
 
 def _solved(settings: Settings, system: CameraSystem) -> AdjustedImages:

@@ -72,9 +72,9 @@ def paths(tables: Tables, solved: AdjustedMachine, settings: Settings, listed: T
 
 
 def _refuse_short(listed: Table, names: np.typing.NDArray[np.str_]) -> None:
-    found, count = np.unique(names, return_counts=True)
+    path_names, count = np.unique(names, return_counts=True)
     if (count < 2).any():
-        name = str(found[np.argmin(count)])
+        name = str(path_names[np.argmin(count)])
         row = int(np.argmax(names == name))
         raise InputError([listed.fault_at(row, f"path {name} has one position", "a path has two positions or more")])
 
@@ -85,8 +85,8 @@ def _predicted(tables: Tables, position: Array, tool: Index) -> tuple[Array, Arr
     design = np.zeros((3, position.shape[1], tables.unknowns.size))
     for number in np.unique(tool).tolist():
         at = tool == number
-        found, own = predict(tables.machine, tables.blocks, (tables.unknowns, tables.raw), position[:, at], number)
-        error[:, at], design[:, at] = found.error, own
+        predicted, own = predict(tables.machine, tables.blocks, (tables.unknowns, tables.raw), position[:, at], number)
+        error[:, at], design[:, at] = predicted.error, own
     return error, design
 
 

@@ -44,8 +44,8 @@ def positioning_of(
     # readings scatter evenly over the range at rest (ISO 230-2:2014, annex A: E_VE)
     reading = float(np.hypot(factor * (own or 0.0), rest / np.sqrt(12)))
     figures, warnings = positioning(runs, LineUncertainty(reading, known.scale))
-    found = {"positioning": figures, "positioning_targets": at_targets(runs)}
-    return {name: table for name, table in found.items() if table is not None}, warnings
+    acceptance = {"positioning": figures, "positioning_targets": at_targets(runs)}
+    return {name: table for name, table in acceptance.items() if table is not None}, warnings
 
 
 def shown_figures(name: str, table: Table) -> ShownTable:
@@ -84,12 +84,12 @@ def _rotary_runs(tables: Tables, solved: AdjustedMachine) -> _RotaryRuns:
         targets = [np.unique(there[-1][own]) for own in parts]
         rows = [order[own] for own, met in zip(parts, targets, strict=True) if len(met) >= _FEWEST]
         if _repeated(targets):
-            found = [_run(tables, solved, axis, own) for own in rows]
+            measured = [_run(tables, solved, axis, own) for own in rows]
             names = [other.letter for other in axes if other is not axis]
             at = [np.degrees([place[own[0]] for place in others]).round(_ROUNDED) for own in rows]
             words = [", ".join(f"{n} = {v:g} deg" for n, v in zip(names, position, strict=True)) for position in at]
-            runs += [Run(axis.letter, *run[:2], where) for run, where in zip(found, words, strict=True)]
-            uncertain += [run[2] for run in found]
+            runs += [Run(axis.letter, *run[:2], where) for run, where in zip(measured, words, strict=True)]
+            uncertain += [run[2] for run in measured]
     return _RotaryRuns(tuple(runs), max(uncertain, default=0.0))
 
 

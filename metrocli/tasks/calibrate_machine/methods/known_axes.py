@@ -76,17 +76,19 @@ class KnownAxes:
 
     def _by_values(self, blocks: Mapping[str, Block]) -> dict[str, Array]:
         """Return the derivatives of the entries by the values of each block, (entries, members, columns)."""
-        found = {axis.block: np.zeros((len(self.entries), *blocks[axis.block].values.shape)) for axis in self.axes}
-        found[SQUARENESS] = np.zeros((len(self.entries), *blocks[SQUARENESS].values.shape))
+        derivatives = {
+            axis.block: np.zeros((len(self.entries), *blocks[axis.block].values.shape)) for axis in self.axes
+        }
+        derivatives[SQUARENESS] = np.zeros((len(self.entries), *blocks[SQUARENESS].values.shape))
         for i, (name, position) in enumerate(self.entries):
             if name not in _OF_AXES:
-                found[SQUARENESS][i, 0, blocks[SQUARENESS].column(name)] = 1.0
+                derivatives[SQUARENESS][i, 0, blocks[SQUARENESS].column(name)] = 1.0
                 continue
             axis = next(axis for axis in self.axes if axis.letter == name[-1])
             column = blocks[axis.block].column(name)
             knot = int(np.argmin(np.abs(axis.knots - position)))
-            found[axis.block][i, :, column] = axis.from_raw[column][knot]
-        return found
+            derivatives[axis.block][i, :, column] = axis.from_raw[column][knot]
+        return derivatives
 
 
 _OF_AXES = frozenset(ALL_NAMES[:18])

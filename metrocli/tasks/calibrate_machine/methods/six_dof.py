@@ -106,12 +106,12 @@ def _targets(machine: Machine, lines: MeasuredLines) -> tuple[str, ...]:
 
 def _deviations(lines: MeasuredLines, table: Table) -> Array:
     """Return the reading of its own direction at each reading of lines along single axes, (n,); else nan."""
-    found = np.full(len(table), np.nan)
+    deviations = np.full(len(table), np.nan)
     for direction in dict.fromkeys(lines.axis):
         if len(direction) == 1:
             rows = np.array(lines.axis)[lines.of] == direction
-            found = np.where(rows, table.numbers(_own(direction)), found)
-    return found
+            deviations = np.where(rows, table.numbers(_own(direction)), deviations)
+    return deviations
 
 
 def positioning_alone(settings: Settings, lines: MeasuredLines, table: Table) -> Array | None:
@@ -137,12 +137,12 @@ def positioning_alone(settings: Settings, lines: MeasuredLines, table: Table) ->
         raise InputError(
             f"displacement alone determines {listed(named)} only: leave {listed(unlike)} out of `estimate`"
         )
-    found = _deviations(lines, table)
-    if np.isnan(found).any():
-        row = int(np.flatnonzero(np.isnan(found))[0])
+    deviations = _deviations(lines, table)
+    if np.isnan(deviations).any():
+        row = int(np.flatnonzero(np.isnan(deviations))[0])
         raise InputError([table.fault_at(row, "the displacement is empty")])
-    raise_if(_measured_positions(lines, found, table))
-    return found
+    raise_if(_measured_positions(lines, deviations, table))
+    return deviations
 
 
 def unmeasured(table: Table) -> Iterator[Fault]:

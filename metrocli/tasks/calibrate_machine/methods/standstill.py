@@ -59,7 +59,7 @@ def standstill(settings: Settings, points: Table, files: Files = NO_FILES) -> Ma
     blocks = error_blocks(machine, settings)
     position = commanded(machine, points)
     poses = positions_of(settings, machine, position, points)
-    found = with_distances(targets(settings, blocks, points, files.reflectors), files.distances)
+    reflectors = with_distances(targets(settings, blocks, points, files.reflectors), files.distances)
     measured, covariance, network = _measured(settings, points, files.network)
     if position.shape[1] < 4:
         raise InputError(
@@ -67,31 +67,31 @@ def standstill(settings: Settings, points: Table, files: Files = NO_FILES) -> Ma
         )
     must_support(machine, position, blocks)
     on = settings.instrument.on
-    places = found.places(machine, position, on)
+    places = reflectors.places(machine, position, on)
     pose = tracker_pose(measured, places, points.file, machine.turns, *([FAR_OFF] if poses.letters else []))
     observations = Observations(
         measured,
         np.ones(1),
-        {**machine.index(position), **found.index, **network.index, **poses.index},
+        {**machine.index(position), **reflectors.index, **network.index, **poses.index},
         covariance=covariance,
         keys={"point": tuple(points.texts("point"))},
         conditions=conditions(machine, position, points, places if machine.turns else None)
         | faces(points)
-        | (found.conditions | found.first_seen(points) if machine.turns else {}),
+        | (reflectors.conditions | reflectors.first_seen(points) if machine.turns else {}),
         components=("x", "y", "z"),
         unit="mm",
     )
-    chain = point_chain(reach(machine, on, found.workpiece, poses.letters))
+    chain = point_chain(reach(machine, on, reflectors.workpiece, poses.letters))
     readings = Group(READINGS, Chain((*chain.links, *network.links)), observations)
     names = list(settings.tools)
-    unknowns = {**blocks, **found.blocks, **network.blocks, **poses.blocks}
+    unknowns = {**blocks, **reflectors.blocks, **network.blocks, **poses.blocks}
     unknowns[TRACKER] = tracker_block(pose, max(min(settings.machine.tool_std, _VAGUE), network.std))
     return MachineProblem(
-        model_of(unknowns, readings, (*found.others, *network.others, *gauge(machine, unknowns))),
+        model_of(unknowns, readings, (*reflectors.others, *network.others, *gauge(machine, unknowns))),
         machine,
         np.ones(position.shape[1]),
-        found.used(names),
-        found.read_once,
+        reflectors.used(names),
+        reflectors.read_once,
         sees_bed=machine.turns and on == BED,
     )
 
@@ -137,7 +137,7 @@ def positions_of(settings: Settings, machine: Machine, position: Array, points: 
     """
     estimated = {letter for letter, axis in settings.machine.axes.turning.items() if axis.positions == ESTIMATED}
     runs = np.array(points.texts(_RUN) if _RUN in points else ("",) * len(points))
-    found = PositionsOfAxes()
+    positions = PositionsOfAxes()
     for axis, own in zip(machine.axes, position, strict=True):
         if axis.letter in estimated:
             # nine digits: two positions that differ in the file must not become one
@@ -146,10 +146,10 @@ def positions_of(settings: Settings, machine: Machine, position: Array, points: 
             number = {name: i for i, name in enumerate(dict.fromkeys(names))}
             block = positions_block(axis.letter, list(number))
             index = {block.name: np.array([number[name] for name in names], dtype=np.intp)}
-            found = PositionsOfAxes(
-                {**found.blocks, block.name: block}, {**found.index, **index}, (*found.letters, axis.letter)
+            positions = PositionsOfAxes(
+                {**positions.blocks, block.name: block}, {**positions.index, **index}, (*positions.letters, axis.letter)
             )
-    return found
+    return positions
 
 
 _SINGULAR = 1e-6

@@ -78,8 +78,8 @@ class MeasuredTargets:
         names = [block.members[i] for i in np.flatnonzero(counts == 1)]
         if not names:
             return ()
-        told = f"{listed(names)} {'has one reading each' if names[1:] else 'has one reading'}"
-        return (f"{told}: it gives the place of the {block.noun}, and nothing of the machine",)
+        statement = f"{listed(names)} {'has one reading each' if names[1:] else 'has one reading'}"
+        return (f"{statement}: it gives the place of the {block.noun}, and nothing of the machine",)
 
     def first_seen(self, table: Table) -> dict[str, Array]:
         """Return when the target of each reading was read for the first time, if the file has times."""

@@ -139,8 +139,8 @@ def cut(table: Table, path: Path, tools: Array, track_tool: Index | None, corner
         "path_length": path.length,
     }
     seen = np.bincount(leg[kept], minlength=len(path.lengths)) > 0
-    told = _told(breaks, leg, along, wild) + _unseen(seen, path)
-    return Track(points[:, kept], leg[kept], conditions, alignment.pose, tuple(told), facts)
+    notes = _notes_on_cuts(breaks, leg, along, wild) + _unseen(seen, path)
+    return Track(points[:, kept], leg[kept], conditions, alignment.pose, tuple(notes), facts)
 
 
 def _aligned(points: Array, tool: Index | None, path: Path, tools: Array, file: str) -> Alignment:
@@ -234,7 +234,7 @@ _REACH = 1000
 """Number of points examined on either side of a break"""
 
 
-def _told(breaks: Index, leg: Index, along: Array, wild: Mask) -> list[str]:
+def _notes_on_cuts(breaks: Index, leg: Index, along: Array, wild: Mask) -> list[str]:
     lines = []
     if len(breaks):
         places = [f"leg {leg[k] + 1} at {max(along[k], 0.0):.0f} mm" for k in breaks[:5].tolist()]

@@ -74,9 +74,9 @@ class Identifiability:
     def status(self) -> Mapping[str, Determination]:
         """Whether an error is determined, by its name."""
         shares = self.opened.shares(self.opened.directions)
-        found = {name: _status(name, shares, self.held, self.opened.blocks) for name in self.names}
-        return found | {
-            name: Determination.GIVEN for name in self.problem.given if found[name] == Determination.DETERMINED
+        statuses = {name: _status(name, shares, self.held, self.opened.blocks) for name in self.names}
+        return statuses | {
+            name: Determination.GIVEN for name in self.problem.given if statuses[name] == Determination.DETERMINED
         }
 
     @cached_property

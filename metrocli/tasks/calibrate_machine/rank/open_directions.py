@@ -66,7 +66,7 @@ def in_words(problem: MachineProblem, opened: OpenDirections, harmful: Array) ->
     if known:
         return "\n".join([first, *known])
     cure = cure_of(problem.blocks[TRACER].values[:, :3] if TRACER in problem.blocks else None)
-    lines = [f"  {i + 1}: {_told(opened, direction)}" for i, direction in enumerate(simple.T[:8])]
+    lines = [f"  {i + 1}: {_combination(opened, direction)}" for i, direction in enumerate(simple.T[:8])]
     more = [f"  and {count - 8} more"] if count > 8 else []
     return "\n".join(
         [
@@ -141,7 +141,7 @@ def _simple(directions: Array) -> Array:
     return np.asarray(directions @ np.linalg.inv(directions[chosen]))
 
 
-def _told(opened: OpenDirections, direction: Array) -> str:
+def _combination(opened: OpenDirections, direction: Array) -> str:
     shares = opened.shares(direction[:, None])
     largest = max(shares.values()) or 1.0
     parts = sorted(

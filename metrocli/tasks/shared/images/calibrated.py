@@ -62,13 +62,13 @@ def stated_cameras(result: Result) -> list[StatedCamera]:
     sizes = cameras.stacked(_SIZE).astype(int).tolist()
     images = cameras.texts("images") if "images" in cameras else [""] * len(cameras)
     conventions = cameras.texts("convention") if "convention" in cameras else [convention] * len(cameras)
-    place, found = cameras.stacked(poses.EULER), list[StatedCamera]()
+    place, stated = cameras.stacked(poses.EULER), list[StatedCamera]()
     for row, name in enumerate(cameras.texts("camera")):
         lens = {key: value for of, (key, value) in zip(table.texts("camera"), named, strict=True) if of == name}
         pose = poses.pose_from_euler(place[row, :3], place[row, 3:]) if row else None
         size = tuple(sizes[row])
-        found.append(StatedCamera(name, lens, conventions[row], size, images[row], pose, _shape(result, size, name)))
-    return found
+        stated.append(StatedCamera(name, lens, conventions[row], size, images[row], pose, _shape(result, size, name)))
+    return stated
 
 
 _SIZE = ("image_width", "image_height")
@@ -122,8 +122,8 @@ def lens_differences(first: Result, second: Result) -> list[LensDifference]:
         return []
     others = {camera.name: camera for camera in stated_cameras(second)}
     pairs = [(camera, others[camera.name]) for camera in stated_cameras(first) if camera.name in others]
-    found = [_difference(camera, other) for camera, other in pairs if camera.size == other.size]
-    return [difference for difference in found if np.isfinite(difference.change).any()]
+    differences = [_difference(camera, other) for camera, other in pairs if camera.size == other.size]
+    return [difference for difference in differences if np.isfinite(difference.change).any()]
 
 
 def _difference(first: StatedCamera, other: StatedCamera) -> LensDifference:

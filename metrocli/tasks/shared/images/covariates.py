@@ -96,7 +96,7 @@ def refit(datum: Datum | None, size: tuple[int, int] | None = None) -> Callable[
         if size is None or not any(extra.effect.link is None for extra in model.added):
             return near
         far = from_blocks(held_in_the_middle(blocks, size, lambda held: from_blocks(held).blocks))
-        return min((near, far), key=lambda found: (not found.outcome.good, found.cost))
+        return min((near, far), key=lambda solution: (not solution.outcome.good, solution.cost))
 
     return adjusted
 

@@ -51,12 +51,12 @@ def exposures(cameras: Mapping[str, str], images: Sequence[str]) -> Exposures:
     camera, `*`, are exposures. Raises InputError for images of no camera or of two.
     """
     taken = [_taken(cameras, image) for image in images]
-    wrong = [image for image, found in zip(images, taken, strict=True) if len(found) != 1]
+    wrong = [image for image, matches in zip(images, taken, strict=True) if len(matches) != 1]
     if wrong:
         known = in_a_row([f"{name} {shape}" for name, shape in cameras.items() if shape])
         raise InputError([Fault(f"images of no camera, or of two: {listed(wrong, 5)}", hint=f"cameras have {known}")])
-    names, exposure = np.unique([found[0][1] for found in taken], return_inverse=True)
-    camera = np.array([found[0][0] for found in taken], dtype=np.intp)
+    names, exposure = np.unique([matches[0][1] for matches in taken], return_inverse=True)
+    camera = np.array([matches[0][0] for matches in taken], dtype=np.intp)
     return Exposures(tuple(names.tolist()), tuple(cameras), camera, exposure)
 
 

@@ -93,13 +93,13 @@ def _of_a_few(images: ImageSet, pattern: Pattern) -> dict[str, FoundTargets]:
     so minutes where all images are searched.
     """
     chosen = spread(images.names)
-    found = [find(pattern, picture) for picture in images.chosen(chosen)]
-    if not any(map(len, found)) and (board := shown_board(pattern, images, chosen)):
+    targets = [find(pattern, picture) for picture in images.chosen(chosen)]
+    if not any(map(len, targets)) and (board := shown_board(pattern, images, chosen)):
         whole = len(images.names)
         few = f"{listed(chosen)}, which are searched first of {whole} images"
         tried = few if len(chosen) < whole else f"any of {whole} images"
         raise InputError(f"no target found in {tried}{board}")
-    return dict(zip(chosen, found, strict=True))
+    return dict(zip(chosen, targets, strict=True))
 
 
 def spread(names: Sequence[str]) -> Sequence[str]:

@@ -83,13 +83,13 @@ def sights(cameras: Sequence[SimulatedCamera], only: Callable[[int], list[int]] 
     for shown in cameras:
         every = np.arange(len(shown.targets.names))
         chosen = [every if only is None else np.array(only(i), dtype=np.intp) for i in range(len(shown.images))]
-        found = [_projected(shown, i, shot) for i, shot in enumerate(chosen)]
-        if not any(inside.any() for _, inside in found):
+        projections = [_projected(shown, i, shot) for i, shot in enumerate(chosen)]
+        if not any(inside.any() for _, inside in projections):
             of = f"camera {shown.name}: " if shown.name else ""
             raise InputError(f"{of}simulation: no target is inside any image; check the poses and the distance")
-        views += [np.full(int(inside.sum()), before + i) for i, (_, inside) in enumerate(found)]
-        targets += [shot[inside] for shot, (_, inside) in zip(chosen, found, strict=True)]
-        points += [uv[inside] for uv, inside in found]
+        views += [np.full(int(inside.sum()), before + i) for i, (_, inside) in enumerate(projections)]
+        targets += [shot[inside] for shot, (_, inside) in zip(chosen, projections, strict=True)]
+        points += [uv[inside] for uv, inside in projections]
         before += len(shown.images)
     return ExactImagePoints(np.concatenate(views), np.concatenate(targets), np.concatenate(points).T)
 
