@@ -18,7 +18,7 @@ def test_a_datum_that_puts_targets_behind_a_camera_is_not_taken(seed: int) -> No
     rng = np.random.default_rng(seed)
     count, every, targets = int(rng.integers(4, 9)), poses_over(corners()), corners()
     rows = np.sort(rng.permutation(8)[:count])
-    at = {axis: every.columns[axis][rows] + rng.normal(0, 15, count) for axis in "xyz"}
+    at = {axis: every.numbers(axis)[rows] + rng.normal(0, 15, count) for axis in "xyz"}
     poses = Table({"image": every.columns["image"][rows], **at}, every.units)
     job = align_part.TASK.job(settings := alignment_settings(0.05, 2e-3), true_camera(), poses, targets)
     seen = align_part.simulate(job, SimulationOptions(5)).files["observations.csv"]
