@@ -28,7 +28,7 @@ _FEW = 4
 
 
 @dataclass(frozen=True)
-class _Wrong:
+class _MisnamedLengths:
     """Lengths of a point that the list contradicts."""
 
     rows: Index
@@ -64,7 +64,7 @@ def _fails(solved: Callable[[Files], object], files: Files, rows: Index) -> bool
     return False
 
 
-def _wrong_lengths(lengths: Table, readings: LengthReadings) -> list[_Wrong]:
+def _wrong_lengths(lengths: Table, readings: LengthReadings) -> list[_MisnamedLengths]:
     """Return the lengths of each point that contradict the list, and what is wrong in words; none if it is unclear."""
     seen = readings.seen_by
     point = readings.observations.index[t.POINT][seen.rows]
@@ -88,7 +88,7 @@ def _wrong_lengths(lengths: Table, readings: LengthReadings) -> list[_Wrong]:
             f"lengths of {readings.names[number]} ({where}) are off by up to {miss[own].max():.3g} mm from where the "
             f"list puts it, those of all other points by less than {bound:.2g} mm{to}"
         )
-        found.append(_Wrong(rows, text))
+        found.append(_MisnamedLengths(rows, text))
     return found
 
 
