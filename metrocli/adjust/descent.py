@@ -141,10 +141,11 @@ class Descent:
             # what is left is of second order: if it no longer shrinks, it is rounding
             if off <= _IN_DATUM * float(extents(block.values).max()) or off > before / 2:
                 break
-            before = off
-            self.state |= {name: self.state[name].moved(shift) for name, shift in shifts.items()}
-            self.normals, self.damping, self.fall = None, 0.0, 0.0
-            self.cost = self.here().cost
+            before, left = off, self.state
+            self._go(left | {name: left[name].moved(shift) for name, shift in shifts.items()})
+            if not np.isfinite(self.cost):  # there nothing predicts the readings, as of points behind their camera
+                self._go(left)
+                return Outcome.DIVERGED
             outcome = Outcome.ITERATION_LIMIT
             for _ in range(_RESTORED):
                 outcome = self.step(small, final=False)
@@ -153,6 +154,11 @@ class Descent:
             if outcome is not Outcome.CONVERGED:
                 return outcome
         return Outcome.CONVERGED
+
+    def _go(self, state: dict[str, Block]) -> None:
+        """Take other values, from which the steps begin anew."""
+        self.state, self.normals, self.damping, self.fall = state, None, 0.0, 0.0
+        self.cost = self.here().cost
 
     def _stands(self, moved: Mapping[str, Block], fall: float, small: float) -> bool:
         """Return whether a step is rounding, in the sum of squares and in the values, as where a solution is the start.

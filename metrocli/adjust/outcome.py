@@ -38,7 +38,9 @@ class Combination:
     def __str__(self) -> str:
         words = []
         for block, column, members, _ in self.parts:
-            # a member's noun may be the name of its block: "x of tracer LT1", not "x of tracer tracer LT1"
-            named = members.removeprefix("all ").startswith(block)
+            # a member's noun may be in the name of its block: "x of tracer LT1", not "x of tracer tracer LT1", and
+            # "x of station S2", not "x of levelled station station S2"
+            noun = members.removeprefix("all ")
+            named = noun.startswith(block) or noun.partition(" ")[0].removesuffix("s") in block.split()
             words.append(f"{column} of {members if named else f'{block} {members}'.strip()}")
         return ", ".join(words)

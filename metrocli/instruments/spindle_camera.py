@@ -168,15 +168,15 @@ def part_in_camera(part: Array, spindle: Array, angle: float, camera: Array) -> 
     return seen
 
 
-def start_pose(lines: Rays, turns: int = 40) -> tuple[Array, float]:
+def start_pose(lines: Rays, turns: int = 40, again: bool = True) -> tuple[Array, float]:
     """Return the pose of the part that brings its points nearest to their rays, and the remaining RMS angle [rad].
 
     The start is linear in the twelve entries of R and d: `(I - v v') (R X + d - c) = 0`. Then shift and rotation are
     improved alternately in object space (Lu, Hager and Mjolsness 2000, for several centres). If the linear start fails,
-    rotations by multiples of 90 degrees are tried as well.
+    rotations by multiples of 90 degrees are tried as well, with `again`.
     """
     best, misfit = _best(lines, _linear(lines)[None], turns)
-    if misfit > _FAILED:
+    if again and misfit > _FAILED:
         from metrocli.instruments.camera_start import cube_rotations
 
         attempt, value = _best(lines, cube_rotations(), turns)

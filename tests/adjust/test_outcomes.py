@@ -24,7 +24,7 @@ from adjust.problems import (
 from simulated.camera import LENS, SIZE, board, look
 
 from metrocli.adjust.adjustment import StoppingRule, adjust, covariance_at
-from metrocli.adjust.outcome import Outcome
+from metrocli.adjust.outcome import Combination, Outcome
 from metrocli.adjust.solution import Solution
 from metrocli.instruments import camera
 
@@ -338,3 +338,18 @@ def test_a_plane_of_targets_in_a_network_view_from_one_side() -> None:
     solution = adjust(at_one.values(), [group.with_observations(exact)], datum)
     assert solution.outcome is Outcome.UNDETERMINED
     assert solution.undetermined
+
+
+@pytest.mark.parametrize(
+    ("block", "members", "words"),
+    [
+        ("tracer", "tracer LT1", "x of tracer LT1"),
+        ("tracer", "all tracers", "x of all tracers"),
+        ("levelled station", "station S2", "x of station S2"),
+        ("station over a point", "all stations", "x of all stations"),
+        ("lens", "camera left", "x of lens camera left"),
+        ("coupling", "", "x of coupling"),
+    ],
+)
+def test_a_noun_in_the_name_of_a_block_is_not_repeated(block: str, members: str, words: str) -> None:
+    assert str(Combination(((block, "x", members, 1.0),), 1.0)) == words

@@ -354,8 +354,10 @@ ELSEWHERE = {
         (POSES, "test_both_images_are_named"), (POSES, "test_no_exchange_is_offered_where_none_mends_the_poses")),
     "the points are a mirror image of the part: mirrored, they lie {} mm from its surfaces": (
         (MISREAD, "test_a_mirror_image_that_fits_far_better_is_named"), (MISREAD, "test_right_coordinates_are_not_doubted")),
-    "{} of the points fit if they are multiplied by {}, such as {}": (
+    "multiplied by {}, the points fit: they then lie {} mm from their surfaces": (
         (MISREAD, "test_another_unit_is_named"), (MISREAD, "test_right_coordinates_are_not_doubted")),
+    "multiplied by {}, the points fit the surfaces as well": (
+        (MISREAD, "test_a_flat_column_that_fits_alike_is_named"), (MISREAD, "test_right_coordinates_are_not_doubted")),
     "a mirror image of the points fits the surfaces as well": (
         (MISREAD, "test_a_mirror_image_that_fits_alike_is_doubtful"), (MISREAD, "test_right_coordinates_are_not_doubted")),
     "the imaged sizes of the targets fit no one diameter": (

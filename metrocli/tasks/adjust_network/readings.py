@@ -21,11 +21,10 @@ from metrocli.tasks.adjust_network.sightings import (
     PolarSightings,
     Stations,
     refuse_pairs,
-    rows_of,
     sightings_of,
     stations_of,
 )
-from metrocli.tasks.shared.lists import matched, negative, refuse, sigmas
+from metrocli.tasks.shared.lists import matched, negative, refuse, rows_of, sigmas
 from metrocli.uncertainty.predicted import POINTS_COVARIANCE, points_of
 from metrocli.words import listed
 

@@ -11,7 +11,7 @@ from metrocli.errors import InputError, all_faults
 from metrocli.frozen import dataclass
 from metrocli.table import ABSENT, Table
 from metrocli.tasks.adjust_network.settings import INTERFEROMETER, Files, NetworkInstrument, Settings
-from metrocli.tasks.shared.lists import matched, negative, refuse
+from metrocli.tasks.shared.lists import matched, negative, refuse, rows_of
 
 _PAIRS = (("az", "hz"), ("el", "zd"))
 QUANTITIES = ("az", "el", "d")
@@ -206,12 +206,6 @@ def _rounds(names: Iterable[str], station: Index) -> tuple[Index, tuple[tuple[in
 
 def _texts(table: Table, column: str) -> list[str]:
     return table.texts(column) if column in table else [""] * len(table)
-
-
-def rows_of(table: Table, rows: Index | Mask) -> Table:
-    """Return some rows of a table, with their lines."""
-    lines = [table.lines[i] for i in np.arange(len(table))[rows]] if table.lines else ()
-    return Table({name: column[rows] for name, column in table.columns.items()}, table.units, table.file, lines)
 
 
 def refuse_pairs(table: Table) -> None:

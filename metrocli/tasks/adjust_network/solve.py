@@ -91,13 +91,16 @@ def solve(settings: Settings, network: Network, remove: bool) -> AdjustedNetwork
     must_be_held(settings, network)
     _must_be_checked(network)
     must_agree_with_setups(network)
-    lost = tuple(contradictions(network, removable(network))) if remove else ()
+    every, wrong = network, removable(network) if remove else {}
+    lost = tuple(contradictions(network, wrong, network.blocks))
     network = _without(network, network.blocks, lost) if lost else network
     network = network.with_blocks(_robust(network))
+    # tested where the others put their points: a point may have started where the wrong one alone puts it
+    lost = tuple(contradictions(every, wrong, network.blocks))
     wrong = contradicting(network, network.blocks)
     if wrong and not remove:
         raise refusal(network, wrong)
-    out = tuple(contradictions(network, wrong))
+    out = tuple(contradictions(network, wrong, network.blocks))
     begun = _Used(_without(network, network.blocks, out) if out else network, (*lost, *out))
 
     def renewed(used: _Used, solved: AdjustedNetwork) -> tuple[_Used, bool]:

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
+from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.robust import FitQuality, suspects
 from metrocli.adjust.solution import Residuals, Solution
 from metrocli.arrays import Index
@@ -51,11 +52,13 @@ def suspected(of_groups: Mapping[str, Residuals], solution: Solution) -> Iterato
         )
 
 
-def contradictions(network: Network, wrong: Mapping[str, Index]) -> Iterator[SuspectedReading]:
-    """Yield readings that contradict the set-ups."""
+def contradictions(
+    network: Network, wrong: Mapping[str, Index], blocks: Mapping[str, Block]
+) -> Iterator[SuspectedReading]:
+    """Yield readings that contradict the set-ups, tested at values of the blocks."""
     for name, rows in wrong.items():
         group = network.model.group(name)
-        tests = np.abs(group.observations.whitened(group.residuals(network.blocks))).max(axis=0)
+        tests = np.abs(group.observations.whitened(group.residuals(blocks))).max(axis=0)
         for row in rows.tolist():
             keys = {key: texts[row] for key, texts in group.observations.keys.items()}
             yield SuspectedReading(name, row, float(tests[row]), keys)

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import field, replace
-from itertools import combinations
 
 import numpy as np
 
@@ -22,6 +21,7 @@ from metrocli.instruments import spindle_camera as spindle
 from metrocli.instruments.camera import TAPER, TARGET, list_datum, target_block
 from metrocli.tasks.align_part.camera import CameraModel
 from metrocli.tasks.align_part.effects import EFFECTS, EXPANSION
+from metrocli.tasks.align_part.exchanged import refuse_exchanged
 from metrocli.tasks.align_part.fitted_targets import TargetList
 from metrocli.tasks.align_part.spindle_poses import SpindlePoses, note_of
 from metrocli.tasks.shared.images.adjustment import IMAGES, AdjustedImages
@@ -38,8 +38,6 @@ _ANGLES = np.linspace(-np.pi, np.pi, 12, endpoint=False)
 """Clamping angles [rad] to start from, if the start at 0 fails"""
 _GOOD = 0.01
 """RMS angle between rays and targets [rad] below which a start is accepted"""
-_EXCHANGED, _MOST_EXCHANGED = 5.0, 30
-"""Two poses are named as exchanged if the angle is so many times smaller then; sought among so many images"""
 
 
 @dataclass(frozen=True)
@@ -174,10 +172,10 @@ def _start(
         seen[:, mine] = stated.direction(uv[:, mine])
     seen = np.where(np.isfinite(seen[0]), seen, [[0.0], [0.0], [1.0]])
     points = sighted.targets.points[sighted.target]
-    at, in_taper = spindle_poses[exposed.exposure[sighted.view]], camera.in_taper[of]
+    image, in_taper = exposed.exposure[sighted.view], camera.in_taper[of]
 
     def tried(angle: float) -> tuple[Array, float]:
-        return spindle.start_pose(spindle.rays(at, in_taper, angle, seen, points))
+        return spindle.start_pose(spindle.rays(spindle_poses[image], in_taper, angle, seen, points))
 
     best, misfit = tried(0.0)
     chosen = 0.0
@@ -186,33 +184,14 @@ def _start(
             pose, value = tried(float(angle))
             if value < misfit:
                 best, misfit, chosen = pose, value, float(angle)
-    if misfit > _GOOD and len(exposed.names) <= _MOST_EXCHANGED:
-        turns = {0.0, chosen}
 
-        def misfit_at(at: Array) -> float:
-            return min(spindle.start_pose(spindle.rays(at, in_taper, turn, seen, points))[1] for turn in turns)
+    def lines(order: Index, some: Index) -> list[spindle.Rays]:
+        at = spindle_poses[order][image[some]]
+        return [spindle.rays(at, in_taper[some], turn, seen[:, some], points[some]) for turn in {0.0, chosen}]
 
-        _refuse_exchanged(exposed, sighted, spindle_poses, misfit, misfit_at)
+    if misfit > _GOOD:
+        refuse_exchanged(exposed.names, image, misfit, lines)
     return best, chosen
-
-
-def _refuse_exchanged(
-    exposed: Exposures, sighted: Sighted, spindle_poses: Array, misfit: float, misfit_at: Callable[[Array], float]
-) -> None:
-    """Raise InputError if the sightings fit far better with the poses of two images exchanged."""
-    best, pair = np.inf, (0, 0)
-    for pair_tried in combinations(range(len(spindle_poses)), 2):
-        order = np.arange(len(spindle_poses))
-        order[list(pair_tried)] = pair_tried[::-1]
-        tried = misfit_at(spindle_poses[order][exposed.exposure[sighted.view]])
-        if tried < best:
-            best, pair = tried, pair_tried
-    if best * _EXCHANGED < misfit and best < _GOOD:
-        first, second = (exposed.names[number] for number in pair)
-        raise InputError(
-            f"the poses of images {first} and {second} are exchanged: read so, the lines of sight meet the targets to "
-            f"{1000 * best:.2g} mrad; exchange their names in the file of poses, or those of the images"
-        )
 
 
 @dataclass(frozen=True)

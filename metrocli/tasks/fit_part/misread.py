@@ -38,8 +38,8 @@ _MIRROR = np.array([-1.0, 1.0, 1.0])
 
 
 @dataclass(frozen=True)
-class _Fit:
-    """How points fit."""
+class _Interpretation:
+    """Points read in one way, and how they fit."""
 
     rms: float
     """Root mean square distance from the surfaces [mm]"""
@@ -73,13 +73,13 @@ def misread(nominal: OfSurfaces, even: Levels, start: Array) -> Iterator[str]:
     """
     measured, surface = even.stock.measured, even.stock.surface
 
-    def at(points: Array, to_part: Array) -> _Fit:
+    def at(points: Array, to_part: Array) -> _Interpretation:
         local = Stock(nominal, points, surface).at(to_part)
         _, deviation = robust_step(local.rows, local.overstock, surface, len(nominal.names))
         off = nominal.off_centre(local.points, surface)
-        return _Fit(_rms(local.overstock), _rms(deviation), off, float(extents(points).max()))
+        return _Interpretation(_rms(local.overstock), _rms(deviation), off, float(extents(points).max()))
 
-    def read_with(factors: Array, seed: int = 1) -> _Fit:
+    def read_with(factors: Array, seed: int = 1) -> _Interpretation:
         points = factors * measured
         return at(points, searched_pose(nominal, points, surface, start, seed))
 
@@ -135,7 +135,7 @@ def _other_units(measured: Array, rough: bool) -> Iterator[tuple[str, Array]]:
             yield f"{factor:.4g} ({unit})", np.full(3, factor)
 
 
-def _alike_and_nearer(other: _Fit, given: _Fit) -> bool:
+def _alike_and_nearer(other: _Interpretation, given: _Interpretation) -> bool:
     return other.relative < _ALIKE * given.relative and other.off * _ALIKE < given.off
 
 

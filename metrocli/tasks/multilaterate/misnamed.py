@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
+from dataclasses import replace
+from typing import TypeVar
 
 import numpy as np
 
 from metrocli.adjust.medians import median
 from metrocli.arrays import Array, Index
 from metrocli.errors import InputError, NoSolutionError
+from metrocli.frozen import dataclass
 from metrocli.instruments import tracer as t
 from metrocli.instruments.tracer_start import start
 from metrocli.table import Table
 from metrocli.tasks.multilaterate.readings import LengthReadings, read
 from metrocli.tasks.multilaterate.settings import Files, Settings
+from metrocli.tasks.shared.lists import rows_of
+
+T = TypeVar("T")
 
 _OFF, _ROUGH = 30.0, 1e-3
 """A length is wrong from so many times the median misfit, and this share of the extent"""
@@ -22,26 +27,45 @@ _FEW = 4
 """Lengths of at most one point in so many are to blame: more would spoil the places of the tracers"""
 
 
-@contextmanager
-def naming_wrong_lengths(settings: Settings, files: Files) -> Iterator[None]:
-    """Let a failure name the lengths that the list of points contradicts, if all others fit it."""
+@dataclass(frozen=True)
+class _MisnamedLengths:
+    """Lengths of a point that the list contradicts."""
+
+    rows: Index
+    text: str
+
+
+def naming_wrong_lengths(settings: Settings, files: Files, solved: Callable[[Files], T]) -> T:
+    """Return what is `solved`; a failure names the lengths that the list of points contradicts, if all others fit it.
+
+    They are not the reason for a failure that remains without them.
+    """
     try:
-        yield
-    except NoSolutionError as error:
-        named = _named(files.lengths, read(settings, files))
-        if not named:
+        return solved(files)
+    except (NoSolutionError, InputError) as error:
+        wrong = _wrong_lengths(files.lengths, read(settings, files))
+        if not wrong or _fails(solved, files, np.concatenate([one.rows for one in wrong])):
             raise
+        texts = [one.text for one in wrong]
+        if isinstance(error, InputError):
+            raise InputError([files.lengths.fault(text) for text in texts]) from None
         # what an adjustment blames that these lengths have spoiled (layout, units, list) is not the reason
-        raise type(error)("\n  ".join([str(error).partition(":")[0], *named]), error.misfit) from error
-    except InputError:
-        named = _named(files.lengths, read(settings, files))
-        if not named:
-            raise
-        raise InputError([files.lengths.fault(text) for text in named]) from None
+        raise type(error)("\n  ".join([str(error).partition(":")[0], *texts]), error.misfit) from error
 
 
-def _named(lengths: Table, readings: LengthReadings) -> list[str]:
-    """Return what is wrong with the lengths of each point that contradict the list, in words; none if it is unclear."""
+def _fails(solved: Callable[[Files], object], files: Files, rows: Index) -> bool:
+    """Return whether a job has no solution without some lengths either."""
+    try:
+        solved(replace(files, lengths=rows_of(files.lengths, np.delete(np.arange(len(files.lengths)), rows))))
+    except NoSolutionError:
+        return True
+    except InputError:  # something asks for the very points that have no lengths then
+        return False
+    return False
+
+
+def _wrong_lengths(lengths: Table, readings: LengthReadings) -> list[_MisnamedLengths]:
+    """Return the lengths of each point that contradict the list, and what is wrong in words; none if it is unclear."""
     seen = readings.seen_by
     point = readings.observations.index[t.POINT][seen.rows]
     of = seen.tracers.of[seen.rows]
@@ -53,18 +77,19 @@ def _named(lengths: Table, readings: LengthReadings) -> list[str]:
     # nan where a tracer has no place
     if not np.isfinite(miss).all() or not 0 < _FEW * len(blamed) <= len(np.unique(point)):
         return []
-    texts = []
+    found = []
     for number in blamed.tolist():
         own = wrong[point[wrong] == number]
         rows = seen.rows[own]
         others = _fitting(readings, places[own], seen.length[own], bound)
         where = f"line{'s' * (len(rows) > 1)} {', '.join(str(lengths.lines[row]) for row in rows)}"
         to = f"; they fit {readings.names[others[0]]}: correct the name" if len(others) == 1 else ""
-        texts.append(
+        text = (
             f"lengths of {readings.names[number]} ({where}) are off by up to {miss[own].max():.3g} mm from where the "
             f"list puts it, those of all other points by less than {bound:.2g} mm{to}"
         )
-    return texts
+        found.append(_MisnamedLengths(rows, text))
+    return found
 
 
 def _place(readings: LengthReadings, mine: Index, tracer: int) -> Array:

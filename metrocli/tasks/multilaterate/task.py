@@ -23,7 +23,7 @@ from metrocli.tasks.multilaterate.readings import read
 from metrocli.tasks.multilaterate.report import report
 from metrocli.tasks.multilaterate.settings import Files, Settings
 from metrocli.tasks.multilaterate.simulation import simulated
-from metrocli.tasks.multilaterate.solve import solve
+from metrocli.tasks.multilaterate.solve import AdjustedTracers, solve
 from metrocli.tasks.shared.features.requested import requested_features
 from metrocli.tasks.shared.noise import weighed
 
@@ -37,11 +37,14 @@ def run(job: Job[Settings, Files]) -> Result:
         with each():
             features = requested_features(settings.features, job.files.probing)
     remove, model = settings.outliers == "remove", settings.noise.model
-    with naming_wrong_lengths(settings, job.files):
-        network = build(settings, job.files).with_effects(job.effects)
+
+    def adjusted(files: Files) -> tuple[AdjustedTracers, float]:
+        network = build(settings, files).with_effects(job.effects)
         if probing is not None:
             refuse_lost(network, probing)
-        solved, factor = weighed(model, network, lambda network: solve(network, remove))
+        return weighed(model, network, lambda network: solve(network, remove))
+
+    solved, factor = naming_wrong_lengths(settings, job.files, adjusted)
     return report(solved, noise_of(solved, model, factor), probing, features, settings.part)
 
 

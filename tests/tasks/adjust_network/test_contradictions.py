@@ -128,3 +128,13 @@ def test_an_adjustment_that_does_not_converge_names_the_sighting(tmp_path: Path,
     net = far_off(network(np.random.default_rng(3), stations=4, points=8, levelled=True, listed=False), 0, 2)
     ran = metrocli("adjust-network", net.write(tmp_path))
     assert ran.code == 5 and "S1/P003 (line 4) by" in ran.err and "`outliers: remove` leaves" in ran.err, ran.err
+
+
+def test_a_sighting_left_out_is_tested_where_the_others_put_its_point(tmp_path: Path, metrocli: Metrocli) -> None:
+    """The point starts where the first station sees it, which is the wrong one here: it would have w = 0 there."""
+    net = far_off(network(np.random.default_rng(12), stations=4, points=9, listed=False), 0, 3)
+    ran = metrocli("adjust-network", net.write(tmp_path, more="outliers: remove\n"))
+    assert ran.code == 0, ran.err
+    rejected = hdf5.read(tmp_path / "result.h5")[0].tables["rejected"]
+    tests = dict(zip(rejected.texts("quantity"), rejected.numbers("w").tolist(), strict=True))
+    assert tests["d"] > 1e5 and max(tests["az"], tests["el"]) < 5

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
 
-from benchmarks.coverage import alignment_settings, corners, poses_over, true_camera
+from benchmarks.coverage import PART, TRUE_MOUNTING, Array, alignment_settings, corners, poses_over, true_camera
 from metrocli.errors import InputError, MetrocliError
+from metrocli.instruments.spindle_camera import Rays, start_pose
 from metrocli.simulation import SimulationOptions
 from metrocli.table import Table
+from metrocli.tasks.align_part import exchanged
 from metrocli.tasks.align_part import task as align_part
 
 
@@ -50,3 +53,30 @@ def test_no_exchange_is_offered_where_none_mends_the_poses() -> None:
 def test_right_poses_are_aligned() -> None:
     poses = poses_over(corners())
     aligned(poses, poses, 33)
+
+
+def test_many_readings_do_not_take_minutes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Hundreds of pairs are ranked by a few readings of each image; few are tried with all."""
+    rng, count = np.random.default_rng(34), 14
+    at = np.column_stack([rng.uniform(0, 300, 30), rng.uniform(0, 200, 30), rng.uniform(0, 30, 30)])
+    names = np.array([f"T{i:02d}" for i in range(len(at))])
+    targets = Table({"target": names, **dict(zip("xyz", at.T, strict=True))}, dict.fromkeys("xyz", "mm"))
+    above = at.mean(axis=0) + [PART.x, PART.y, PART.z - 600.0] + rng.uniform(-150, 150, (count, 3)) * [1, 1, 0.3]
+    place = (above - [TRUE_MOUNTING.x, TRUE_MOUNTING.y, TRUE_MOUNTING.z]).T
+    images = np.array([f"I{i:02d}" for i in range(count)])
+    poses = Table({"image": images, **dict(zip("xyz", place, strict=True))}, dict.fromkeys("xyz", "mm"))
+    settings = alignment_settings(0.05, 2e-3)
+    seen = align_part.simulate(align_part.TASK.job(settings, true_camera(), poses, targets), SimulationOptions(34))
+    lines = 0
+
+    def counted(rays: Rays, *settings: Any, **further: Any) -> tuple[Array, float]:
+        nonlocal lines
+        lines += len(rays.point)
+        return start_pose(rays, *settings, **further)
+
+    monkeypatch.setattr(exchanged, "start_pose", counted)
+    read = seen.files["observations.csv"]
+    stated = order(poses, [0, 9, *range(2, 9), 1, *range(10, count)])
+    with pytest.raises(InputError, match="the poses of images I01 and I09 are exchanged"):
+        align_part.run(align_part.TASK.job(settings, true_camera(), stated, targets, observations=read))
+    assert lines < 40 * len(read)

@@ -7,11 +7,11 @@ from statistics import NormalDist
 
 import numpy as np
 import pytest
-from simulated.lengths import network, places, settings
+from simulated.lengths import network, on_line, places, settings
 
 from benchmarks import blunders
 from metrocli.adjust.solution import residuals_of
-from metrocli.errors import NoSolutionError, NotConvergedError
+from metrocli.errors import NoSolutionError, NotConvergedError, UndeterminedError
 from metrocli.tasks.multilaterate import task as multilaterate
 from metrocli.tasks.multilaterate.problem import build
 from metrocli.tasks.multilaterate.settings import Files
@@ -184,3 +184,14 @@ def test_no_name_is_offered_for_lengths_that_fit_no_point() -> None:
     with pytest.raises(NoSolutionError, match="lengths of P7 .*are off by") as failed:
         multilaterate.run(multilaterate.TASK.job(settings(), net.lengths(), net.point_table()))
     assert "correct the name" not in str(failed.value)
+
+
+@pytest.mark.parametrize("layout", ["three tracers", "a line"])
+def test_a_place_off_its_list_does_not_hide_a_layout_that_determines_nothing(layout: str) -> None:
+    """Lengths that the list contradicts are the reason only for a failure that ends without them."""
+    net = network(30, 3, seed=163) if layout == "three tracers" else on_line(4)
+    net.nominal[4] += [3.0, 0.0, 5.0]
+    with pytest.raises(UndeterminedError) as failed:
+        multilaterate.run(multilaterate.TASK.job(settings(), net.lengths(), net.point_table()))
+    why = "there are 3 tracers" if layout == "three tracers" else "the points lie on a line"
+    assert why in str(failed.value) and "lengths of P4" not in str(failed.value)
