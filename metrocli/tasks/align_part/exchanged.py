@@ -38,10 +38,10 @@ def refuse_exchanged(
         return order
 
     def roughly(pair: tuple[int, int]) -> float:
-        return min(start_pose(one, _TURNS, again=False)[1] for one in lines(exchanged(pair), some))
+        return min(start_pose(rays, _TURNS, again=False)[1] for rays in lines(exchanged(pair), some))
 
     def tried(pair: tuple[int, int]) -> float:
-        return min(start_pose(one)[1] for one in lines(exchanged(pair), np.arange(len(image))))
+        return min(start_pose(rays)[1] for rays in lines(exchanged(pair), np.arange(len(image))))
 
     # a start from all readings takes up to a hundred times as long, which hundreds of pairs are not worth
     ranked = sorted(combinations(range(len(names)), 2), key=roughly)[:_RANKED]

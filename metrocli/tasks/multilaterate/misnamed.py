@@ -44,9 +44,9 @@ def naming_wrong_lengths(settings: Settings, files: Files, solved: Callable[[Fil
         return solved(files)
     except (NoSolutionError, InputError) as error:
         wrong = _wrong_lengths(files.lengths, read(settings, files))
-        if not wrong or _fails(solved, files, np.concatenate([one.rows for one in wrong])):
+        if not wrong or _fails(solved, files, np.concatenate([lengths.rows for lengths in wrong])):
             raise
-        texts = [one.text for one in wrong]
+        texts = [lengths.text for lengths in wrong]
         if isinstance(error, InputError):
             raise InputError([files.lengths.fault(text) for text in texts]) from None
         # what an adjustment blames that these lengths have spoiled (layout, units, list) is not the reason
@@ -77,7 +77,7 @@ def _wrong_lengths(lengths: Table, readings: LengthReadings) -> list[_MisnamedLe
     # nan where a tracer has no place
     if not np.isfinite(miss).all() or not 0 < _FEW * len(blamed) <= len(np.unique(point)):
         return []
-    found = []
+    misnamed = []
     for number in blamed.tolist():
         own = wrong[point[wrong] == number]
         rows = seen.rows[own]
@@ -88,8 +88,8 @@ def _wrong_lengths(lengths: Table, readings: LengthReadings) -> list[_MisnamedLe
             f"lengths of {readings.names[number]} ({where}) are off by up to {miss[own].max():.3g} mm from where the "
             f"list puts it, those of all other points by less than {bound:.2g} mm{to}"
         )
-        found.append(_MisnamedLengths(rows, text))
-    return found
+        misnamed.append(_MisnamedLengths(rows, text))
+    return misnamed
 
 
 def _place(readings: LengthReadings, mine: Index, tracer: int) -> Array:
