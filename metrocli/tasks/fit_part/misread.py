@@ -6,12 +6,14 @@ A part with named surfaces may lie in any way, and surfaces have no limits: wron
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import permutations, product
 
 import numpy as np
 
 from metrocli.arrays import Array, extents
 from metrocli.errors import InputError
 from metrocli.frozen import dataclass
+from metrocli.geometry import poses
 from metrocli.tasks.fit_part.levels import Levels, robust_step
 from metrocli.tasks.fit_part.nominals import OfSurfaces
 from metrocli.tasks.fit_part.start import searched_pose
@@ -35,6 +37,15 @@ _UNITS = _METRES | {
     0.1: "mm in a column that is headed cm",
 }
 _MIRROR = np.array([-1.0, 1.0, 1.0])
+_REFLECTIONS = np.array(
+    [
+        signed
+        for order in permutations(range(3))
+        for signs in product((1.0, -1.0), repeat=3)
+        if np.linalg.det(signed := np.eye(3)[list(order)] * signs) < 0
+    ]
+)
+"""Reflections that turn a cube into itself (24, 3, 3)"""
 
 
 @dataclass(frozen=True)
@@ -79,11 +90,14 @@ def misread(nominal: OfSurfaces, even: Levels, start: Array) -> Iterator[str]:
         off = nominal.off_centre(local.points, surface)
         return _Interpretation(_rms(local.overstock), _rms(deviation), off, float(extents(points).max()))
 
-    def read_with(factors: Array, seed: int = 1) -> _Interpretation:
+    def read_with(factors: Array, seed: int = 1, rotations: Array | None = None) -> _Interpretation:
         points = factors * measured
-        return at(points, searched_pose(nominal, points, surface, start, seed))
+        return at(points, searched_pose(nominal, points, surface, start, seed, rotations))
 
-    given, mirrored = at(measured, even.to_part), read_with(_MIRROR)
+    given = at(measured, even.to_part)
+    # a part that fits as its own mirror image does so across planes that its surfaces have: a short search finds it
+    across = None if given.is_rough else _REFLECTIONS @ poses.rotation_of(even.to_part) * _MIRROR
+    mirrored = read_with(_MIRROR, rotations=across)
     if given.is_rough:
         # another search: a pose that was not found would speak against the points as they are
         given = min(given, read_with(np.ones(3), seed=2), key=lambda fit: fit.rms)

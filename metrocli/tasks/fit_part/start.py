@@ -46,15 +46,25 @@ class Sought(Protocol):
         """Return how far the points of each surface are from the point that the nominal gives of it [mm]."""
 
 
-def searched_pose(nominal: Sought, measured: Array, surface: Index | None, start: Array, seed: int = 1) -> Array:
+def searched_pose(
+    nominal: Sought,
+    measured: Array,
+    surface: Index | None,
+    start: Array,
+    seed: int = 1,
+    rotations: Array | None = None,
+) -> Array:
     """Return the pose (6,) that brings measured points (n, 3) roughly onto their surfaces.
 
-    `start` (6,) is the pose into the part frame that the job gives, or that of equal frames.
+    `start` (6,) is the pose into the part frame that the job gives, or that of equal frames. `rotations` (k, 3, 3) are
+    tried instead of those that cover space.
     """
     rng = np.random.default_rng(seed)
     rows = _spread(len(measured), surface, rng)
     points, labels = measured[rows], None if surface is None else surface[rows]
-    rotations, shifts = _candidates(nominal, points, start, named=surface is not None, rng=rng)
+    if rotations is None:
+        rotations = _around(poses.rotation_of(start), named=surface is not None, rng=rng)
+    rotations, shifts = _candidates(nominal, points, start, rotations)
     rotations, shifts = _refined(nominal, points, labels, rotations, shifts)
     placed = _placed(points, rotations, shifts)
     distance, _ = nominal.quick(placed, labels)
@@ -76,18 +86,18 @@ def _spread(n: int, surface: Index | None, rng: np.random.Generator) -> Index:
     return np.concatenate([order[surface[order] == number][:each] for number in np.unique(surface)])
 
 
-def _candidates(
-    nominal: Sought, points: Array, start: Array, named: bool, rng: np.random.Generator
-) -> tuple[Array, Array]:
-    """Return rotations (B, 3, 3) and shifts (B, 3) to try: the middles of points and part on each other."""
-    given = poses.rotation_of(start)
+def _around(given: Array, named: bool, rng: np.random.Generator) -> Array:
+    """Return rotations (k, 3, 3): all of space if the surfaces are named, otherwise those near the given one (3, 3)."""
     if named:
         # four normal numbers have no direction before others: these are evenly spread rotations
         quaternions = rng.normal(size=(_ANYWHERE, 4))
-        rotations = np.concatenate([given[None], _rotations(quaternions)])
-    else:
-        grid = np.stack(np.meshgrid(*[[-_NEAR, 0.0, _NEAR]] * 3), axis=-1).reshape(-1, 3)
-        rotations = rotation_from_vector(grid) @ given
+        return np.concatenate([given[None], _rotations(quaternions)])
+    grid = np.stack(np.meshgrid(*[[-_NEAR, 0.0, _NEAR]] * 3), axis=-1).reshape(-1, 3)
+    return np.asarray(rotation_from_vector(grid) @ given)
+
+
+def _candidates(nominal: Sought, points: Array, start: Array, rotations: Array) -> tuple[Array, Array]:
+    """Return rotations (B, 3, 3) and shifts (B, 3) to try: the middles of points and part on each other."""
     shifts = _middle_on_middle(nominal, points, rotations)
     # points on one side of the part have another middle than it has: the given shift is tried as well
     beside = np.broadcast_to(start[:3], shifts.shape)
