@@ -94,9 +94,12 @@ def misread(nominal: OfSurfaces, even: Levels, start: Array) -> Iterator[str]:
         points = factors * measured
         return at(points, searched_pose(nominal, points, surface, start, seed, rotations))
 
-    given = at(measured, even.to_part)
+    given, turned = at(measured, even.to_part), poses.rotation_of(even.to_part)
+    # the even pose has a level for a surface that the search of other readings lays on
+    laid_on = read_with(np.ones(3), rotations=turned[None])
+    given = min(given, laid_on, key=lambda fit: fit.rms)
     # a part that fits as its own mirror image does so across planes that its surfaces have: a short search finds it
-    across = None if given.is_rough else _REFLECTIONS @ poses.rotation_of(even.to_part) * _MIRROR
+    across = None if given.is_rough else _REFLECTIONS @ turned * _MIRROR
     mirrored = read_with(_MIRROR, rotations=across)
     if given.is_rough:
         # another search: a pose that was not found would speak against the points as they are
@@ -111,10 +114,14 @@ def misread(nominal: OfSurfaces, even: Levels, start: Array) -> Iterator[str]:
             f"(root mean square) and scatter by {mirrored.scatter:.3g} mm, as they are {given.rms:.3g} mm and "
             f"{given.scatter:.3g} mm; {sign}"
         )
-    others = [(words, read_with(factors)) for words, factors in _other_units(measured, given.is_rough)]
+    others = [
+        (words, read_with(factors)) for words, factors in _other_units(measured, given.is_rough or not given.is_thin)
+    ]
     if others:
         words, other = min(others, key=lambda pair: pair[1].relative)
-        if other.relative * _BETTER < given.relative and other.is_thin:
+        # in mm as well: a column that grows makes the extent larger, and all else a smaller share of it
+        far_better = other.relative * _BETTER < given.relative and other.rms * _BETTER < given.rms
+        if far_better and other.is_thin and not other.is_rough:
             raise InputError(
                 f"multiplied by {words}, the points fit: they then lie {other.rms:.3g} mm from their surfaces (root "
                 f"mean square), and {given.rms:.3g} mm as they are"
@@ -134,17 +141,17 @@ def misread(nominal: OfSurfaces, even: Levels, start: Array) -> Iterator[str]:
         )
 
 
-def _other_units(measured: Array, rough: bool) -> Iterator[tuple[str, Array]]:
-    """Yield words and factors (3,) of other units: all where the fit is rough, else those of a flat column."""
+def _other_units(measured: Array, doubted: bool) -> Iterator[tuple[str, Array]]:
+    """Yield words and factors (3,) of other units: all where the fit is doubted, else those of a flat column."""
     size = np.maximum(extents(measured), 1e-9)  # a column of zeros is flat as well
     for column, name in enumerate("xyz"):
         others = np.delete(size, column).max()
         for factor, unit in _METRES.items():
             ratio = size[column] / others
             was, would_be = (max(value, 1 / value) for value in (ratio, ratio * factor))
-            if rough or (was > 1 / _FLAT > would_be):
+            if doubted or (was > 1 / _FLAT > would_be):
                 yield f"{factor:g} in {name} ({unit})", np.where(np.arange(3) == column, factor, 1.0)
-    if rough:
+    if doubted:
         for factor, unit in _UNITS.items():
             yield f"{factor:.4g} ({unit})", np.full(3, factor)
 

@@ -156,7 +156,7 @@ def _refined(
             distance, normal = distance[best], normal[best]
         centre = placed.mean(axis=1, keepdims=True)
         arms = placed - centre
-        lever = np.sqrt((arms**2).sum(axis=2).mean(axis=1))[:, None, None]
+        lever = np.sqrt((arms**2).sum(axis=2).mean(axis=1))[:, None, None] + 1e-9  # points may be all the same
         rows = np.concatenate([normal, np.cross(arms, normal) / lever], axis=2)
         scale = 3 * np.median(np.abs(distance), axis=1, keepdims=True) + 1e-9
         weighted = rows * (1 / (1 + (distance / scale) ** 2))[:, :, None]

@@ -67,7 +67,7 @@ def test_another_unit_is_named(
     assert ran.code == 3 and words in ran.err, ran.err
 
 
-@pytest.mark.parametrize(("minimum", "code"), [("0.1", 6), ("0.5", 4)])
+@pytest.mark.parametrize(("minimum", "code"), [("0.1", 6), pytest.param("0.5", 4, marks=pytest.mark.slow)])
 def test_a_flat_column_that_fits_alike_is_named(minimum: str, code: int, tmp_path: Path, metrocli: Metrocli) -> None:
     job = written(tmp_path, lambda points: points / [1.0, 1.0, 1000.0], OPEN, scale=SMALL)
     job.write_text(job.read_text().replace("minimum: 0.5 mm", f"minimum: {minimum} mm"))
@@ -93,3 +93,36 @@ def test_a_part_is_not_laid_on_the_wrong_side_of_one_surface(tmp_path: Path, met
     job = replace(made, points=made.points[kept], surface=made.surface[kept]).write(tmp_path)
     ran = metrocli("fit-part", job)
     assert ran.code == 0, ran.err
+
+
+def test_many_points_on_one_surface_are_no_mirror_image(tmp_path: Path, metrocli: Metrocli) -> None:
+    """A block without its bottom is its own mirror image, and the even pose has a level for its top."""
+    made = casting(81, each=1500, rough=0.05, stock=(3.0, 3.2), scale=0.1)
+    sides = np.isin(made.surface, ("left", "right", "front", "back")) & (np.arange(len(made.surface)) % 150 == 0)
+    kept = sides | (made.surface == "top")
+    job = replace(made, points=made.points[kept], surface=made.surface[kept]).write(tmp_path, scale=0.1)
+    ran = metrocli("fit-part", job)
+    assert ran.code == 0, ran.err
+
+
+def test_a_column_that_grows_does_not_make_a_rough_part_fit(tmp_path: Path, metrocli: Metrocli) -> None:
+    made = casting(82, each=12, rough=0.12, stock=(1.0, 1.2), scale=0.02, angle=0.0, sigma=0.01)
+    kept = np.isin(made.surface, ("left", "right", "front", "back", "top"))
+    job = replace(made, points=made.points[kept], surface=made.surface[kept]).write(tmp_path, scale=0.02)
+    ran = metrocli("fit-part", job)
+    assert ran.code == 0, ran.err
+
+
+@pytest.mark.parametrize(("factor", "words"), [(25.4, "by 25.4 (inches"), (1 / 25.4, "by 0.03937 (mm in a column")])
+def test_inches_of_a_block_without_bores_are_named(
+    factor: float, words: str, tmp_path: Path, metrocli: Metrocli
+) -> None:
+    """Planes have no size of their own: with levels of their own they fit in any unit."""
+    planes = ("left", "right", "front", "back", "bottom", "top")
+    ran = metrocli("fit-part", written(tmp_path, lambda points: points / factor, planes, scale=SMALL))
+    assert ran.code == 3 and words in ran.err, ran.err
+
+
+def test_points_that_are_all_the_same_determine_too_little(tmp_path: Path, metrocli: Metrocli) -> None:
+    ran = metrocli("fit-part", written(tmp_path, np.zeros_like, ("left", "front", "bottom")))
+    assert ran.code in (3, 4) and "error" in ran.err, ran.err
