@@ -20,15 +20,15 @@ from metrocli.tasks.fit_part.start import searched_pose
 from metrocli.tasks.fit_part.stock import Stock
 
 _BETTER = 5.0
-"""Coordinates that are read otherwise are refused as given if they fit so many times better so"""
+"""Points are refused if another reading of them fits so many times better"""
 _ROUGH = 3e-3
-"""Scatter about the levels, as a share of the extent, above which other units are tried: raw parts have less"""
+"""Scatter about the levels of raw parts at most, as a share of the extent; beyond it other units are tried"""
 _THICKEST = 0.03
-"""Overstock, as a share of the extent, above which a reading is no better one: raw parts have less"""
+"""Overstock of raw parts at most, as a share of the extent"""
 _ALIKE = 1.5
 """Readings fit alike within this ratio, and are nearer to the planes' points beyond it"""
 _FLAT = 0.01
-"""Extent of a column, as a share of the others or the reverse, below which it may be in another unit than they are"""
+"""Ratio of the extents of a column and the others below which, or the reverse, their units may differ"""
 _METRES = {1e-3: "mm in a column that is headed m", 1e3: "m in a column that is headed mm"}
 _UNITS = _METRES | {
     25.4: "inches in a column that is headed mm",
@@ -36,6 +36,7 @@ _UNITS = _METRES | {
     10.0: "cm in a column that is headed mm",
     0.1: "mm in a column that is headed cm",
 }
+_SIGN = "turn the sign of one column of coordinates, or exchange two of them, whichever the file has wrong"
 _MIRROR = np.array([-1.0, 1.0, 1.0])
 _REFLECTIONS = np.array(
     [
@@ -78,9 +79,9 @@ class _Interpretation:
 
 
 def misread(nominal: OfSurfaces, even: Levels, start: Array) -> Iterator[str]:
-    """Yield doubts about points, with the levels of their surfaces: read otherwise, they fit as well.
+    """Yield a doubt for each other reading of the points (in another unit, mirrored) that fits as well.
 
-    Raises InputError if points that are read otherwise fit far better.
+    `even` has the points with the levels of their surfaces. Raises InputError if another reading fits far better.
     """
     measured, surface = even.stock.measured, even.stock.surface
 
@@ -104,7 +105,28 @@ def misread(nominal: OfSurfaces, even: Levels, start: Array) -> Iterator[str]:
     if given.is_rough:
         # another search: a pose that was not found would speak against the points as they are
         given = min(given, read_with(np.ones(3), seed=2), key=lambda fit: fit.rms)
-    sign = "turn the sign of one column of coordinates, or exchange two of them, whichever the file has wrong"
+    _refuse_mirror_image(given, mirrored)
+    others = [
+        (words, read_with(factors)) for words, factors in _other_units(measured, given.is_rough or not given.is_thin)
+    ]
+    _refuse_other_unit(given, others)
+    alike = [(words, other) for words, other in others if _alike_and_nearer(other, given)]
+    for words, other in sorted(alike, key=lambda pair: pair[1].off)[:1]:
+        yield (
+            f"multiplied by {words}, the points fit the surfaces as well ({other.rms:.3g} mm, root mean square), and "
+            f"are nearer to the `point` of the planes ({other.off:.3g} mm) than as they are ({given.off:.3g} mm). "
+            "Points on an opposite surface would decide"
+        )
+    if _alike_and_nearer(mirrored, given):
+        yield (
+            f"a mirror image of the points fits the surfaces as well ({mirrored.rms:.3g} mm, root mean square), and is "
+            f"nearer to the `point` of the planes ({mirrored.off:.3g} mm) than the points as they are ({given.off:.3g} "
+            f"mm). If the file is wrong, {_SIGN}. Points on an opposite surface would decide"
+        )
+
+
+def _refuse_mirror_image(given: _Interpretation, mirrored: _Interpretation) -> None:
+    """Raise InputError if a mirror image of the points fits far better."""
     # with levels of their own, opposite surfaces fit on the wrong sides; without, thick overstock hides the rest
     rounding = 1e-6 * given.extent
     better = max(given.rms / (mirrored.rms + rounding), given.scatter / (mirrored.scatter + rounding))
@@ -112,13 +134,13 @@ def misread(nominal: OfSurfaces, even: Levels, start: Array) -> Iterator[str]:
         raise InputError(
             f"the points are a mirror image of the part: mirrored, they lie {mirrored.rms:.3g} mm from its surfaces "
             f"(root mean square) and scatter by {mirrored.scatter:.3g} mm, as they are {given.rms:.3g} mm and "
-            f"{given.scatter:.3g} mm; {sign}"
+            f"{given.scatter:.3g} mm; {_SIGN}"
         )
-    others = [
-        (words, read_with(factors)) for words, factors in _other_units(measured, given.is_rough or not given.is_thin)
-    ]
-    if others:
-        words, other = min(others, key=lambda pair: pair[1].relative)
+
+
+def _refuse_other_unit(given: _Interpretation, others: list[tuple[str, _Interpretation]]) -> None:
+    """Raise InputError if the points fit far better in another unit."""
+    for words, other in sorted(others, key=lambda pair: pair[1].relative)[:1]:
         # in mm as well: a column that grows makes the extent larger, and all else a smaller share of it
         far_better = other.relative * _BETTER < given.relative and other.rms * _BETTER < given.rms
         if far_better and other.is_thin and not other.is_rough:
@@ -126,19 +148,6 @@ def misread(nominal: OfSurfaces, even: Levels, start: Array) -> Iterator[str]:
                 f"multiplied by {words}, the points fit: they then lie {other.rms:.3g} mm from their surfaces (root "
                 f"mean square), and {given.rms:.3g} mm as they are"
             )
-        alike = [pair for pair in others if _alike_and_nearer(pair[1], given)]
-        for words, other in sorted(alike, key=lambda pair: pair[1].off)[:1]:
-            yield (
-                f"multiplied by {words}, the points fit the surfaces as well ({other.rms:.3g} mm, root mean square), "
-                f"and are nearer to the `point` of the planes ({other.off:.3g} mm) than as they are ({given.off:.3g} "
-                f"mm). Points on an opposite surface would decide"
-            )
-    if _alike_and_nearer(mirrored, given):
-        yield (
-            f"a mirror image of the points fits the surfaces as well ({mirrored.rms:.3g} mm, root mean square), and is "
-            f"nearer to the `point` of the planes ({mirrored.off:.3g} mm) than the points as they are ({given.off:.3g} "
-            f"mm). If the file is wrong, {sign}. Points on an opposite surface would decide"
-        )
 
 
 def _other_units(measured: Array, doubted: bool) -> Iterator[tuple[str, Array]]:
@@ -157,7 +166,7 @@ def _other_units(measured: Array, doubted: bool) -> Iterator[tuple[str, Array]]:
 
 
 def _alike_and_nearer(other: _Interpretation, given: _Interpretation) -> bool:
-    return other.relative < _ALIKE * given.relative and other.off * _ALIKE < given.off
+    return other.is_thin and other.relative < _ALIKE * given.relative and other.off * _ALIKE < given.off
 
 
 def _rms(values: Array) -> float:

@@ -115,13 +115,8 @@ def solve(settings: Settings, prepared: Prepared) -> FittedPart:
     highest, largest, holding = most_of_many(stock, even.to_part)
     if not c.feasible(largest, minimum):
         contradictions = c.contradictions(stock, minimum, highest)
-        hint = (
-            other[0]
-            if other
-            else c.wrong_side(turned)
-            if turned
-            else c.all_inside(even.level, isinstance(nominal, OfMesh))
-        )
+        wrong_side = c.wrong_side(turned) if turned else c.all_inside(even.level, isinstance(nominal, OfMesh))
+        hint = other[0] if other else wrong_side
         raise c.refuse(contradictions, places.of(used).names, minimum, largest, hint)
     # a negative minimum allows for missing material, and surfaces without it look the same
     doubts = [c.wrong_side(turned)] if turned else []

@@ -133,13 +133,16 @@ def _placed(points: Array, rotations: Array, shifts: Array) -> Array:
 
 
 def _typical(distance: Array, labels: Index | None) -> Array:
-    """Return the typical distance of each pose (B,): the median, of named surfaces the mean of their medians.
+    """Return the typical distance of each pose (B,): the median, of named surfaces the geometric mean of their medians.
 
-    A median of all points would take a part that is laid on the wrong side of one surface, if the others fit.
+    A median of all points would take a part that is laid on the wrong side of one surface, if the others fit exactly;
+    a plain mean one that lies between all surfaces, if the names of two are exchanged.
     """
     size = np.abs(distance)
-    groups = [slice(None)] if labels is None else [labels == number for number in np.unique(labels)]
-    return np.asarray(np.mean([np.median(size[:, group], axis=1) for group in groups], axis=0))
+    if labels is None:
+        return np.asarray(np.median(size, axis=1))
+    medians = [np.median(size[:, labels == number], axis=1) for number in np.unique(labels)]
+    return np.asarray(np.exp(np.mean(np.log(np.maximum(medians, 1e-9)), axis=0)))
 
 
 def _refined(

@@ -125,4 +125,14 @@ def test_inches_of_a_block_without_bores_are_named(
 
 def test_points_that_are_all_the_same_determine_too_little(tmp_path: Path, metrocli: Metrocli) -> None:
     ran = metrocli("fit-part", written(tmp_path, np.zeros_like, ("left", "front", "bottom")))
-    assert ran.code in (3, 4) and "error" in ran.err, ran.err
+    assert ran.code == 4 and "independent constraints of the 6 that a pose needs" in ran.err, ran.err
+
+
+def test_exchanged_names_of_surfaces_are_no_other_unit(tmp_path: Path, metrocli: Metrocli) -> None:
+    """The part stays on the other surfaces, so those with the wrong names contradict each other."""
+    made = casting(2001, angle=1.0)
+    names = {"left": "right", "right": "left"}
+    job = replace(made, surface=np.array([names.get(name, name) for name in made.surface])).write(tmp_path)
+    ran = metrocli("fit-part", job)
+    assert ran.code == 4 and "contradict each other: left and right" in ran.err, ran.err
+    assert "multiplied" not in ran.err
