@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from metrocli.adjust.adjustment import adjust
+from metrocli.adjust.adjustment import StoppingRule, adjust
 from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.groups import Group, priors
 from metrocli.adjust.model.observations import Observations
@@ -28,6 +28,9 @@ from metrocli.words import listed
 
 WEAK = 0.01
 """Relative uncertainty of the distance to the unit above which the beams do not determine its place"""
+
+STOPPING = StoppingRule(limit=100)
+"""Good readings take about five steps; those that contradict each other can descend along a beam for thousands"""
 
 
 @dataclass(frozen=True)
@@ -187,7 +190,7 @@ def _worst(solution: Solution, names: Sequence[str]) -> tuple[SuspectedPose, int
 
 
 def _without(blocks: Mapping[str, Block], groups: Sequence[Group], name: str, row: int) -> Solution | None:
-    """Return the solution without one reading; None if the others do not determine it."""
+    """Return the solution without one reading; None if the others do not determine it, or lead nowhere."""
     left = []
     for group in groups:
         if group.name == name:
@@ -195,5 +198,5 @@ def _without(blocks: Mapping[str, Block], groups: Sequence[Group], name: str, ro
                 return None
             group = group.selected(np.arange(group.observations.count) != row)
         left.append(group)
-    solution = adjust(blocks.values(), left)
-    return solution if solution.covariance is not None else None
+    solution = adjust(blocks.values(), left, control=STOPPING)
+    return solution if solution.outcome.good and solution.covariance is not None else None

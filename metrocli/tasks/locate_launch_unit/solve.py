@@ -21,6 +21,7 @@ from metrocli.geometry.rotations import wrapped
 from metrocli.instruments import launch_unit as lu
 from metrocli.instruments.launch_start import Meeting, closed_loop, lines, set_up_angle, spread
 from metrocli.tasks.locate_launch_unit.problem import (
+    STOPPING,
     WEAK,
     LaunchUnitProblem,
     SuspectedPose,
@@ -123,7 +124,7 @@ def _located(readings: AlignedPoses, noise: LaunchUnitNoise, how: How) -> Locate
     problem = build(readings, noise)
     if how.effects:
         problem = problem.with_effects(how.effects)
-    solution = adjust(problem.blocks.values(), problem.all_groups)
+    solution = adjust(problem.blocks.values(), problem.all_groups, control=STOPPING)
     if solution.undetermined or solution.outcome is Outcome.TOO_FEW:
         raise UndeterminedError(_undetermined(problem, solution), solution.misfit)
     if not solution.outcome.good:
@@ -282,6 +283,8 @@ def _others(readings: AlignedPoses) -> Iterator[tuple[str, AlignedPoses]]:
             names = " and ".join(ANGLES[i] for i in chosen)
             yield f"{names} count the other way round", replace(readings, angles=angles * sign)
     yield "the spindle's angle counts the other way round", replace(readings, spindle=-spindle)
+    # the mirror image that the encoders alone give too: the readings cannot distinguish it
+    yield "z has the wrong sign", replace(readings, receiver=readings.receiver * [1.0, 1.0, -1.0])
     back = angles * np.array([1.0, 1.0, -1.0, 1.0])[:, None] + np.array([0.0, 0.0, 0.0, np.pi])[:, None]
     yield (
         "phi3 and phi4 describe the beam as it travels, from the launch unit to the receiver (the mirror solution); "

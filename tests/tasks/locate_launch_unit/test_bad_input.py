@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from simulated.launch import NOISE, Poses, anywhere, poses, settings
 
+from metrocli.adjust.allowance import allowance
 from metrocli.doubt import doubts_of
 from metrocli.errors import InputError, UndeterminedError
 from metrocli.tasks.locate_launch_unit import task as locate_launch_unit
@@ -97,6 +98,7 @@ MISREAD: dict[str, tuple[Callable[[Poses], Poses], str]] = {
     "phi4 the other way round": (rows(lambda a: a.__setitem__(3, -a[3])), "phi4 count the other way round"),
     "the mirrored unit": (rows(mirrored), r"phi3 and phi4 describe the beam as it travels.*\(the mirror solution\)"),
     "the spindle in radians": (lambda given: replace(given, psi=given.psi * np.pi / 180), "the spindle's column holds radians"),
+    "z of the other sign": (lambda given: replace(given, receivers=given.receivers * [1, 1, -1]), "z has the wrong sign"),
     "the spindle the other way round": (lambda given: replace(given, psi=-given.psi), "the spindle's angle counts the other way"),
 }  # fmt: skip
 
@@ -135,6 +137,18 @@ def test_a_wrong_pose_is_told_and_the_result_not_recommended() -> None:
     )
     assert any("do not use this result" in line for line in doubts_of(result, ()))
     assert set(result.tables["outliers"].texts("pose")) >= {"P2"}
+
+
+@pytest.mark.parametrize("seed", [6, 9])
+def test_distances_in_metres_end_in_few_steps(seed: int) -> None:
+    """They and the angles contradict each other, and the place descends along a beam: more steps decide nothing."""
+    given = anywhere(8, seed, distances=True).noisy(np.random.default_rng(seed))
+    assert given.distance is not None
+    with allowance(900):
+        result = locate_launch_unit.run(
+            locate_launch_unit.TASK.job(settings(), replace(given, distance=given.distance / 1000).table())
+        )
+    assert doubts_of(result, ())
 
 
 def test_repeated_rows_are_told() -> None:
