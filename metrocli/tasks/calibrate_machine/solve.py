@@ -9,9 +9,10 @@ import numpy as np
 
 from metrocli.adjust.adjustment import adjust
 from metrocli.adjust.outcome import Outcome
-from metrocli.adjust.robust import FitQuality, Suspects, robust_start, suspects
+from metrocli.adjust.robust import FitQuality, Suspects, gross, robust_start, suspects
 from metrocli.adjust.rounds import adjust_with_iterated_weights, in_rounds, worst_of
 from metrocli.adjust.solution import Residuals, Solution, residuals_of
+from metrocli.arrays import Array, Index
 from metrocli.errors import NotConvergedError, UndeterminedError
 from metrocli.frozen import dataclass
 from metrocli.instruments.machine import AXES, TOOL
@@ -76,22 +77,17 @@ def solve(problem: MachineProblem, remove: bool) -> AdjustedMachine:
     identified = identify(problem)
     start = robust_start(identified.blocks.values(), problem.groups, (problem.readings.name,))
     begun = _KeptReadings(problem.with_blocks(start), identified, ())
+    if remove and problem.noise is not None and problem.noise.std is not None:
+        # a repeatability that is estimated would grow to the size of a gross error
+        far = gross(problem.readings, start)
+        begun = begun.without(np.flatnonzero(far), far[far > 0])
 
     def fewer(used: _KeptReadings, solved: AdjustedMachine) -> tuple[_KeptReadings, bool]:
-        worst, suspected, names = worst_of(solved.suspects), solved.suspects, solved.problem.names
+        worst, suspected = worst_of(solved.suspects), solved.suspects
         if not remove or not worst.size:
             return used, False
-        keep = np.ones(len(names), dtype=bool)
-        keep[suspected.rows[worst]] = False
-        left = solved.problem.selected(keep)
-        identified = identify(left)
-        values = solved.solution.blocks.items()
-        state = {name: replace(block, free=identified.blocks[name].free) for name, block in values}
-        gone = (
-            (names[row], test)
-            for row, test in zip(suspected.rows[worst].tolist(), suspected.tests[worst].tolist(), strict=True)
-        )
-        return _KeptReadings(left.with_blocks(state), identified, (*used.rejected, *gone)), True
+        adjusted = replace(used, problem=solved.problem.with_blocks(solved.solution.blocks))
+        return adjusted.without(suspected.rows[worst], suspected.tests[worst]), True
 
     solved = in_rounds(begun, _KeptReadings.solved, fewer)[1]
     must_be_decided(solved.second)
@@ -105,6 +101,18 @@ class _KeptReadings:
     problem: MachineProblem
     identified: Identifiability
     rejected: tuple[tuple[str, float], ...]
+
+    def without(self, rows: Index, tests: Array) -> _KeptReadings:
+        """Return the problem without some readings, whose tests are given; what the others determine is free."""
+        if not rows.size:
+            return self
+        names = self.problem.names
+        left = self.problem.selected(np.isin(np.arange(len(names)), rows, invert=True))
+        identified = identify(left)
+        values = self.problem.blocks.items()
+        state = {name: replace(block, free=identified.blocks[name].free) for name, block in values}
+        gone = ((names[row], test) for row, test in zip(rows.tolist(), tests.tolist(), strict=True))
+        return _KeptReadings(left.with_blocks(state), identified, (*self.rejected, *gone))
 
     def solved(self) -> AdjustedMachine:
         problem, solution = with_repeatability(self.problem, adjusted, self.problem.readings.name)

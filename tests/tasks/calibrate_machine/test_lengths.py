@@ -86,6 +86,20 @@ def test_cases_that_another_program_simulated_come_out_right(case: Path) -> None
         assert np.linalg.norm(miss, axis=1).mean() < 0.02 * truth["reference"]["mean_error_mm"]
 
 
+def test_gross_lengths_are_no_repeatability() -> None:
+    """Two lengths that were exchanged and one off by 10 mm are left out before its size is estimated."""
+    rng = np.random.default_rng(37)
+    table = lengths.measured(sim.random_machine(rng), rng, 120, repeatability=2e-3)
+    length = table.numbers("length").copy()
+    length[[10, 60]] = length[[60, 10]]
+    length[300] += 10.0
+    spoilt = replace(table, columns={**table.columns, "length": length})
+    noise = replace(lengths.NOISE, repeatability="estimated")
+    result = run(lengths.settings(noise=noise, outliers="remove"), spoilt)
+    assert set(result.tables["rejected"].texts("point")) == {"P10 at S1", "P60 at S1", "P60 at S3"}
+    assert result.statistics["repeatability"] == pytest.approx(2e-3, rel=0.1)
+
+
 @pytest.mark.parametrize("order", ["XYZ", "YXZ"])
 def test_without_noise_the_error_of_both_tools_is_recovered_to_a_nanometre(order: str) -> None:
     rng = np.random.default_rng(31)
