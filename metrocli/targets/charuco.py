@@ -17,7 +17,8 @@ from metrocli.arrays import Array, Picture
 from metrocli.errors import Fault, InputError
 from metrocli.targets.blobs import eight_bit
 from metrocli.targets.find import FoundTargets, nothing, points
-from metrocli.targets.lattice import homography, order_fault, projected
+from metrocli.targets.homography import seen_by_a_lens
+from metrocli.targets.lattice import order_fault
 from metrocli.targets.pattern import DICTIONARIES, Pattern, lattice, names
 from metrocli.targets.saddles import WINDOW, fit_grid
 
@@ -46,7 +47,7 @@ def find(pattern: Pattern, picture: Picture) -> FoundTargets:
     if reason:
         return nothing(f"no ChArUco board: {reason}")
     rows, columns = pattern.shape
-    everywhere = projected(homography(steps[ids].astype(float), start), steps.astype(float))
+    everywhere = seen_by_a_lens(steps[ids].astype(float), start, steps.astype(float))
     everywhere[ids] = start
     fitted, sigma = fit_grid(picture, everywhere.reshape(rows, columns, 2), _window(pattern))
     uv, spread = fitted.reshape(-1, 2)[ids], sigma.ravel()[ids]
