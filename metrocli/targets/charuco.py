@@ -16,7 +16,7 @@ import numpy as np
 from metrocli.arrays import Array, Picture
 from metrocli.errors import Fault, InputError
 from metrocli.targets.blobs import eight_bit
-from metrocli.targets.find import FoundTargets, nothing, points
+from metrocli.targets.find import FoundTargets, mirrored, nothing, points
 from metrocli.targets.homography import seen_by_a_lens
 from metrocli.targets.lattice import order_fault
 from metrocli.targets.pattern import DICTIONARIES, Pattern, lattice, names
@@ -35,8 +35,12 @@ def find(pattern: Pattern, picture: Picture) -> FoundTargets:
     versions.
     """
     seen = eight_bit(picture)
-    corners, ids, _, markers = cv2.aruco.CharucoDetector(_board(pattern)).detectBoard(seen)
+    detector = cv2.aruco.CharucoDetector(_board(pattern))
+    corners, ids, _, markers = detector.detectBoard(seen)
     if ids is None or len(ids) < FEWEST:
+        other = detector.detectBoard(cv2.flip(seen, 1))[1]
+        if other is not None and len(other) >= FEWEST:
+            return mirrored("ChArUco board", len(other), "corners")
         count, shown = (0 if array is None else len(array) for array in (ids, markers))
         hint = "check columns, rows and dictionary" if shown else "check the dictionary, or is there no board?"
         message = f"no ChArUco board: {count} corners found, {FEWEST} are needed"
