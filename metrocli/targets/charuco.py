@@ -63,17 +63,19 @@ def find(pattern: Pattern, picture: Picture) -> FoundTargets:
 def other_layout(pattern: Pattern, picture: Picture, dictionary: str) -> str:
     """Return what to write for the ChArUco board that an image shows, in words; empty if no layout tried is found.
 
-    Its markers are of this dictionary. Columns and rows are tried exchanged, and as counts of squares.
+    Its markers are of this dictionary. Columns and rows are tried exchanged, and one more or fewer of each. That with
+    most corners is named: another has some of them in common with the board.
     """
     seen = eight_bit(picture)
     own = dictionary == _whole(pattern.dictionary)
     named = "" if own else f"dictionary: {dictionary}"
     same = pattern if own else replace(pattern, dictionary=dictionary)
+    best, count = "", FEWEST - 1
     for other, write in ((same, ""), *_layouts(same)):
         ids = cv2.aruco.CharucoDetector(_board(other)).detectBoard(seen)[1]
-        if ids is not None and len(ids) >= FEWEST and (named or write):
-            return f"a ChArUco board: with `{', '.join(filter(None, (named, write)))}` there are {len(ids)} corners"
-    return ""
+        if ids is not None and len(ids) > count and (named or write):
+            best, count = ", ".join(filter(None, (named, write))), len(ids)
+    return f"a ChArUco board: with `{best}` there are {count} corners" if best else ""
 
 
 def _whole(dictionary: str) -> str:
@@ -83,14 +85,16 @@ def _whole(dictionary: str) -> str:
 
 
 def _layouts(pattern: Pattern) -> Iterator[tuple[Pattern, str]]:
+    """Yield other boards and what to write for them, smaller ones first: a larger one shows the same corners."""
     rows, columns = pattern.shape
+    near = {(n + i, m + j) for n, m in ((rows, columns), (columns, rows)) for i in (-1, 0, 1) for j in (-1, 0, 1)}
+    sizes = sorted((size for size in near - {(rows, columns)} if min(size) > 1), key=lambda size: size[0] * size[1])
     for legacy in (pattern.legacy, not pattern.legacy):
         words = f", legacy: {str(legacy).lower()}" if legacy != pattern.legacy else ""
         if words:
             yield replace(pattern, legacy=legacy), words.removeprefix(", ")
-        for n, m in ((columns, rows), (rows - 1, columns - 1), (columns - 1, rows - 1)):
-            if n > 1 and m > 1 and (n, m) != (rows, columns):
-                yield replace(pattern, rows=n, columns=m, legacy=legacy), f"columns: {m}, rows: {n}{words}"
+        for n, m in sizes:
+            yield replace(pattern, rows=n, columns=m, legacy=legacy), f"columns: {m}, rows: {n}{words}"
 
 
 def artwork(pattern: Pattern) -> tuple[Array, int]:

@@ -28,6 +28,7 @@ def picture(pattern: Pattern) -> np.ndarray[tuple[int, int], np.dtype[np.uint8]]
     [
         ({"columns": 5, "rows": 7}, "columns: 7, rows: 5"),
         pytest.param({"columns": 8, "rows": 6}, "columns: 7, rows: 5", marks=pytest.mark.slow),
+        ({"columns": 8, "rows": 5}, "columns: 7, rows: 5"),
         pytest.param({"legacy": True}, "legacy: false", marks=pytest.mark.slow),
         ({"dictionary": "5x5_50"}, "dictionary: 4x4_250"),
     ],
