@@ -13,8 +13,9 @@ import numpy.typing as npt
 from metrocli.arrays import Array, Index, Picture
 from metrocli.errors import Fault, InputError
 from metrocli.targets.blobs import eight_bit
-from metrocli.targets.find import FoundTargets, nothing, points
-from metrocli.targets.lattice import determines_homography, homography, order_fault, projected
+from metrocli.targets.find import FoundTargets, mirrored, nothing, points
+from metrocli.targets.homography import determines_homography, homography, projected, seen_by_a_lens
+from metrocli.targets.lattice import order_fault
 from metrocli.targets.pattern import Pattern, names, pattern_points
 from metrocli.targets.saddles import WINDOW, fit_grid
 
@@ -41,6 +42,8 @@ def find(pattern: Pattern, picture: Picture) -> FoundTargets:
     numbers, seen = numbers[mine], seen[mine]
     # tag 0 is at the lower left
     steps = np.stack([numbers % columns, rows - 1 - numbers // columns], axis=1)
+    if not len(numbers) and len(shown := _detected(np.ascontiguousarray(eight_bit(picture)[:, ::-1]))[0]) >= _FEWEST:
+        return mirrored("AprilTag grid", len(shown), "tags")
     if len(numbers) < _FEWEST or not determines_homography(steps.astype(float)):
         return nothing(
             f"no AprilTag grid: {len(numbers)} of its tags found, {_FEWEST} that are not on a line are needed"
@@ -49,8 +52,8 @@ def find(pattern: Pattern, picture: Picture) -> FoundTargets:
         return nothing(f"no AprilTag grid: {reason}; check columns and rows, which count tags")
     plane = pattern_points(pattern)[1][:, :2].reshape(2 * rows, 2 * columns, 2)
     place = _places(steps, plane, seen)
-    flat = projected(homography(plane[place].reshape(-1, 2), seen.reshape(-1, 2)), plane.reshape(-1, 2))
-    start = flat.reshape(plane.shape)
+    everywhere = seen_by_a_lens(plane[place].reshape(-1, 2), seen.reshape(-1, 2), plane.reshape(-1, 2))
+    start = everywhere.reshape(plane.shape)
     start[place] = seen
     fitted, sigma = fit_grid(picture, start, _window(pattern))
     good = np.zeros(sigma.shape, dtype=bool)

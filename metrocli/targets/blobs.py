@@ -168,3 +168,9 @@ class Ellipse:
         # W'W is the quadratic form of the ellipse; a triangle leaves out the turn
         # of the circle, which no grey value shows
         return np.array([[np.sqrt(max(uu - uv * uv / vv, 1e-300)), 0.0], [uv / r, r]])
+
+    def lies_in(self, picture: Picture, share: float) -> bool:
+        """Return whether the ellipse with semi-axes of this share of its own lies in the picture."""
+        reach = share * np.linalg.norm(np.linalg.inv(self.shape), axis=1)
+        ends = np.array(picture.shape[::-1]) - 0.5
+        return bool((self.centre - reach > -0.5).all() and (self.centre + reach < ends).all())

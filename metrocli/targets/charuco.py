@@ -16,8 +16,9 @@ import numpy as np
 from metrocli.arrays import Array, Picture
 from metrocli.errors import Fault, InputError
 from metrocli.targets.blobs import eight_bit
-from metrocli.targets.find import FoundTargets, nothing, points
-from metrocli.targets.lattice import homography, order_fault, projected
+from metrocli.targets.find import FoundTargets, mirrored, nothing, points
+from metrocli.targets.homography import seen_by_a_lens
+from metrocli.targets.lattice import order_fault
 from metrocli.targets.pattern import DICTIONARIES, Pattern, lattice, names
 from metrocli.targets.saddles import WINDOW, fit_grid
 
@@ -34,8 +35,12 @@ def find(pattern: Pattern, picture: Picture) -> FoundTargets:
     versions.
     """
     seen = eight_bit(picture)
-    corners, ids, _, markers = cv2.aruco.CharucoDetector(_board(pattern)).detectBoard(seen)
+    detector = cv2.aruco.CharucoDetector(_board(pattern))
+    corners, ids, _, markers = detector.detectBoard(seen)
     if ids is None or len(ids) < FEWEST:
+        other = detector.detectBoard(cv2.flip(seen, 1))[1]
+        if other is not None and len(other) >= FEWEST:
+            return mirrored("ChArUco board", len(other), "corners")
         count, shown = (0 if array is None else len(array) for array in (ids, markers))
         hint = "check columns, rows and dictionary" if shown else "check the dictionary, or is there no board?"
         message = f"no ChArUco board: {count} corners found, {FEWEST} are needed"
@@ -46,7 +51,7 @@ def find(pattern: Pattern, picture: Picture) -> FoundTargets:
     if reason:
         return nothing(f"no ChArUco board: {reason}")
     rows, columns = pattern.shape
-    everywhere = projected(homography(steps[ids].astype(float), start), steps.astype(float))
+    everywhere = seen_by_a_lens(steps[ids].astype(float), start, steps.astype(float))
     everywhere[ids] = start
     fitted, sigma = fit_grid(picture, everywhere.reshape(rows, columns, 2), _window(pattern))
     uv, spread = fitted.reshape(-1, 2)[ids], sigma.ravel()[ids]
@@ -58,17 +63,19 @@ def find(pattern: Pattern, picture: Picture) -> FoundTargets:
 def other_layout(pattern: Pattern, picture: Picture, dictionary: str) -> str:
     """Return what to write for the ChArUco board that an image shows, in words; empty if no layout tried is found.
 
-    Its markers are of this dictionary. Columns and rows are tried exchanged, and as counts of squares.
+    Its markers are of this dictionary. Columns and rows are tried exchanged, and one more or fewer of each. That with
+    most corners is named: another has some of them in common with the board.
     """
     seen = eight_bit(picture)
     own = dictionary == _whole(pattern.dictionary)
     named = "" if own else f"dictionary: {dictionary}"
     same = pattern if own else replace(pattern, dictionary=dictionary)
+    best, count = "", FEWEST - 1
     for other, write in ((same, ""), *_layouts(same)):
         ids = cv2.aruco.CharucoDetector(_board(other)).detectBoard(seen)[1]
-        if ids is not None and len(ids) >= FEWEST and (named or write):
-            return f"a ChArUco board: with `{', '.join(filter(None, (named, write)))}` there are {len(ids)} corners"
-    return ""
+        if ids is not None and len(ids) > count and (named or write):
+            best, count = ", ".join(filter(None, (named, write))), len(ids)
+    return f"a ChArUco board: with `{best}` there are {count} corners" if best else ""
 
 
 def _whole(dictionary: str) -> str:
@@ -78,14 +85,16 @@ def _whole(dictionary: str) -> str:
 
 
 def _layouts(pattern: Pattern) -> Iterator[tuple[Pattern, str]]:
+    """Yield other boards and what to write for them, smaller ones first: a larger one shows the same corners."""
     rows, columns = pattern.shape
+    near = {(n + i, m + j) for n, m in ((rows, columns), (columns, rows)) for i in (-1, 0, 1) for j in (-1, 0, 1)}
+    sizes = sorted((size for size in near - {(rows, columns)} if min(size) > 1), key=lambda size: size[0] * size[1])
     for legacy in (pattern.legacy, not pattern.legacy):
         words = f", legacy: {str(legacy).lower()}" if legacy != pattern.legacy else ""
         if words:
             yield replace(pattern, legacy=legacy), words.removeprefix(", ")
-        for n, m in ((columns, rows), (rows - 1, columns - 1), (columns - 1, rows - 1)):
-            if n > 1 and m > 1 and (n, m) != (rows, columns):
-                yield replace(pattern, rows=n, columns=m, legacy=legacy), f"columns: {m}, rows: {n}{words}"
+        for n, m in sizes:
+            yield replace(pattern, rows=n, columns=m, legacy=legacy), f"columns: {m}, rows: {n}{words}"
 
 
 def artwork(pattern: Pattern) -> tuple[Array, int]:

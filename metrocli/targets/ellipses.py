@@ -33,6 +33,8 @@ STILL = 0.001
 """A step shorter than this, in pixels, is the last one: the next would be about its square."""
 MISFIT = 0.12
 """Largest root mean square residual of an ellipse, in units of its contrast."""
+CUT = 0.2
+"""Largest part of an ellipse beyond the image, in semi-axes: half of one has ten times the noise of a whole one."""
 FLAT = 0.48
 """Smallest |covered - 1/2| of pixels away from the edge."""
 EVEN, SLOPING = 8, 10
@@ -128,7 +130,7 @@ def _bounded(value: float, bound: float) -> float:
 
 
 def fit(picture: Picture, start: Ellipse, reach: float = np.inf) -> FittedEllipse | None:
-    """Fit a blurred ellipse to the grey values around `start`; None if they show none or the fit does not converge.
+    """Fit a blurred ellipse to the grey values around `start`; None without one, or where the image's border cuts it.
 
     `reach` limits the pixels used, in semi-axes from the centre. It must be less than the distance to other print.
     """
@@ -138,7 +140,7 @@ def fit(picture: Picture, start: Ellipse, reach: float = np.inf) -> FittedEllips
             return None
         fitted = _fit(start, at, grey)
         if fitted is None or _is_near(start, fitted.ellipse):
-            return fitted
+            return fitted if fitted and fitted.ellipse.lies_in(picture, 1 - CUT) else None
         start = fitted.ellipse
     return None
 

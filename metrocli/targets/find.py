@@ -43,6 +43,12 @@ def nothing(reason: str) -> FoundTargets:
     return FoundTargets((), np.empty((0, 2)), np.empty(0), np.empty((0, 2)), np.empty(0), reason)
 
 
+def mirrored(board: str, shown: int, what: str) -> FoundTargets:
+    """Return empty sightings of an image in which a board is found only after it was mirrored."""
+    hint = "turn off the mirroring of the camera's software, and take the images again"
+    return nothing(f"no {board}: the image is mirrored, {shown} {what} are found in its mirror image; {hint}")
+
+
 def points(targets: Sequence[str], uv: Array, sigma: Array) -> FoundTargets:
     """Return sightings of targets that are not ellipses."""
     absent = np.full((len(uv), 2), np.nan)

@@ -12,62 +12,26 @@ import numpy as np
 import numpy.typing as npt
 
 from metrocli.arrays import Array
+from metrocli.targets.homography import homography, projected, seen_by_a_lens
 
 Whole = npt.NDArray[np.int64]
 
 NEAR = 0.3
 """A neighbour must be within this share of a step from its expected position."""
 GATE = 0.2
-"""Largest root mean square distance from a homography, in steps of the lattice; real lenses stay far below it."""
-BENT = 0.2
-"""Largest distance of a point from the middle of its two neighbours, in steps of the lattice."""
-_ON_A_LINE = 1e-6
-"""Smallest singular value of a homography, relative to the largest, that is no rounding"""
+"""Largest root mean square distance from a view of the board, in steps of the lattice; real lenses stay below it."""
+BENT = 0.25
+"""Largest distance of a point from the middle of its two neighbours, in steps; 0.33 where a row between is missing"""
 UNORDERED = "the order of the points is not that of a flat board"
 FEWEST = 0.75
 """Share of a board's points that must be found."""
 
 
-def homography(plane: Array, uv: Array) -> Array:
-    """Return the homography (3, 3) from plane (n, 2) to image (n, 2) by the normalised linear method (DLT)."""
-    (a, plane_), (b, uv_) = _normalised(plane), _normalised(uv)
-    # four points give 8 rows of 9: the null vector is then only in the full matrix
-    h = np.linalg.svd(_linear(plane_, uv_), full_matrices=len(uv) < 5)[2][-1].reshape(3, 3)
-    return np.asarray(np.linalg.inv(b) @ h @ a)
-
-
-def _linear(plane: Array, uv: Array) -> Array:
-    """Return the linear equations (2n, 9) of a homography from plane (n, 2) to image (n, 2)."""
-    x, y = plane.T
-    u, v = uv.T
-    ones, zero = np.ones_like(x), np.zeros_like(x)
-    return np.concatenate(
-        [
-            np.stack([x, y, ones, zero, zero, zero, -u * x, -u * y, -u], axis=1),
-            np.stack([zero, zero, zero, x, y, ones, -v * x, -v * y, -v], axis=1),
-        ]
-    )
-
-
-def determines_homography(plane: Array) -> bool:
-    """Return whether images of these points (n, 2) determine a homography: not where all but one lie on a line."""
-    own = _normalised(plane)[1]
-    size = np.linalg.svd(_linear(own, own), compute_uv=False)
-    # a homography has eight unknowns, and the ninth singular value is 0 for any points
-    return len(plane) >= 4 and bool(size[7] > _ON_A_LINE * size[0])
-
-
-def projected(h: Array, plane: Array) -> Array:
-    """Return the image points (n, 2) of plane points (n, 2)."""
-    x = plane @ h[:, :2].T + h[:, 2]
-    return np.asarray(x[:, :2] / x[:, 2:])
-
-
 def order_fault(steps: Whole, uv: Array) -> str:
     """Return why the points (n, 2) cannot be at these places (n, 2) of a flat lattice; empty if they can.
 
-    Two tests that images of any real lens pass: the points fit a homography within 0.2 steps (root mean square), and
-    each point between two neighbours is within 0.2 steps of their middle.
+    Two tests that images of any real lens pass: the points fit a homography and smooth distortion within 0.2 steps
+    (root mean square), and each point between two neighbours is within 0.25 steps of their middle.
     """
     if len(set(map(tuple, steps.tolist()))) < len(steps):
         return "two points have one place"
@@ -75,11 +39,12 @@ def order_fault(steps: Whole, uv: Array) -> str:
         return "fewer than four points"
     step = _step(steps, uv)
     plane = steps.astype(float)
-    off = projected(homography(plane, uv), plane) - uv
+    off = seen_by_a_lens(plane, uv, plane) - uv
     rms = float(np.sqrt(np.mean(np.sum(off**2, axis=1))))
     if not rms < GATE * step:
-        return f"{UNORDERED} ({rms:.1f} px from a homography, steps of {step:.1f} px)"
-    bend = _bend(steps, uv)
+        return f"{UNORDERED} ({rms:.1f} px from a view of it, steps of {step:.1f} px)"
+    # perspective moves points of a coarse board off the middle, a fisheye the homography of a fine one
+    bend = min(_bend(steps, uv, uv), _bend(steps, uv, projected(homography(plane, uv), plane) - uv))
     if bend > BENT:
         return f"{UNORDERED} (a point is {bend:.2f} steps off its neighbours' middle)"
     return ""
@@ -138,14 +103,6 @@ def _most_upright(expected: Whole, uv: Array, fits: list[Whole]) -> Whole | None
     return fits[int(np.argmax(score))] if max(score, default=-np.inf) > -np.inf else None
 
 
-def _normalised(points: Array) -> tuple[Array, Array]:
-    """Return the similarity (3, 3) that centres and scales the points for the linear method, and its result (n, 2)."""
-    centre = points.mean(0)
-    scale = np.sqrt(2) / max(float(np.sqrt(((points - centre) ** 2).sum(1).mean())), 1e-12)
-    change = np.array([[scale, 0, -scale * centre[0]], [0, scale, -scale * centre[1]], [0, 0, 1]])
-    return change, (points - centre) * scale
-
-
 def _pairs(steps: Whole, by: tuple[int, int]) -> tuple[Whole, Whole]:
     """Return the pairs of rows a and b with steps[b] = steps[a] + by."""
     place = {tuple(step): row for row, step in enumerate(steps.tolist())}
@@ -168,8 +125,11 @@ def _step(steps: Whole, uv: Array) -> float:
     return min(lengths, default=0.0)
 
 
-def _bend(steps: Whole, uv: Array) -> float:
-    """Return the largest distance of a point from the middle of two opposite neighbours, over half their distance."""
+def _bend(steps: Whole, uv: Array, off: Array) -> float:
+    """Return the largest difference of `off` (n, 2) from its mean at two opposite neighbours, over half their distance.
+
+    With the image points as `off` it is how far a point is from the middle of two neighbours.
+    """
     worst = 0.0
     for by in _STEPS:
         a, b = _pairs(steps, (2 * by[0], 2 * by[1]))
@@ -177,8 +137,8 @@ def _bend(steps: Whole, uv: Array) -> float:
         middle = np.array([place.get((x + by[0], y + by[1]), -1) for x, y in steps[a].tolist()], dtype=np.int64)
         a, b, middle = a[middle >= 0], b[middle >= 0], middle[middle >= 0]
         if len(a):
-            off = np.linalg.norm(uv[middle] - (uv[a] + uv[b]) / 2, axis=1)
-            worst = max(worst, float((off / (np.linalg.norm(uv[b] - uv[a], axis=1) / 2 + 1e-9)).max()))
+            away = np.linalg.norm(off[middle] - (off[a] + off[b]) / 2, axis=1)
+            worst = max(worst, float((away / (np.linalg.norm(uv[b] - uv[a], axis=1) / 2 + 1e-9)).max()))
     return worst
 
 

@@ -77,3 +77,12 @@ def test_nothing_there_is_no_target(start: tuple[float, float]) -> None:
     flat = np.full((40, 40), 100, np.uint8)
     found = fit(flat, Ellipse(*start, 5.0, 5.0))
     assert found is None or found.misfit > 0.12
+
+
+@pytest.mark.parametrize("left", [0.75, 0.97])
+def test_an_ellipse_that_the_border_cuts_is_left_out(left: float) -> None:
+    """Half an ellipse has ten times the scatter of a whole one, and every target of an image has the same weight."""
+    image, centre, _ = drawn.ellipse(np.random.default_rng(5), 24, 1.0, 2.0)
+    cut = np.ascontiguousarray(image[int(centre[1] + 12 - 24 * left) :])
+    fits = [fit(cut, start) for start in [Ellipse(centre[0], centre[1] - len(image) + len(cut), 12.0, 12.0)]]
+    assert any(fits) == (left > 0.9)

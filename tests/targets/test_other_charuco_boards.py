@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
+from metrocli.targets.aprilgrid import artwork
 from metrocli.targets.charuco import _board
 from metrocli.targets.find import find
 from metrocli.targets.likely_board import likely_board
@@ -27,6 +28,7 @@ def picture(pattern: Pattern) -> np.ndarray[tuple[int, int], np.dtype[np.uint8]]
     [
         ({"columns": 5, "rows": 7}, "columns: 7, rows: 5"),
         pytest.param({"columns": 8, "rows": 6}, "columns: 7, rows: 5", marks=pytest.mark.slow),
+        ({"columns": 8, "rows": 5}, "columns: 7, rows: 5"),
         pytest.param({"legacy": True}, "legacy: false", marks=pytest.mark.slow),
         ({"dictionary": "5x5_50"}, "dictionary: 4x4_250"),
     ],
@@ -58,3 +60,13 @@ def test_a_grid_of_markers_is_no_charuco_board() -> None:
     told = [likely_board(Pattern("chessboard", columns=9, rows=6, pitch=10.0), [seen] * 2) for seen in (grid, board)]
     assert told[0] == "markers of 5x5_250 with no squares between them: a grid of markers is no board of `pattern`"
     assert "type: charuco" in told[1]
+
+
+def test_a_mirrored_image_is_named() -> None:
+    grid = Pattern("aprilgrid", 4, 3, 26.0, marker_size=20.0)
+    cells, _ = artwork(grid)
+    tags = np.kron(np.pad(1 - cells, 4, constant_values=1), np.full((9, 9), 255)).astype(np.uint8)
+    for pattern, image in ((BOARD, picture(BOARD)), (grid, tags)):
+        assert len(find(pattern, image)) > 20
+        assert "the image is mirrored" in find(pattern, np.ascontiguousarray(image[:, ::-1])).reason
+        assert "mirrored" not in find(pattern, np.full_like(image, 128)).reason

@@ -19,7 +19,8 @@ from metrocli.instruments.camera_start import plane_frame
 from metrocli.instruments.lenses.conventions import projection_range
 from metrocli.instruments.lenses.distortion import RADIAL, RATIONAL
 from metrocli.table import Table
-from metrocli.targets.lattice import GATE, determines_homography, homography, projected
+from metrocli.targets.homography import determines_homography, seen_by_a_lens
+from metrocli.targets.lattice import GATE
 from metrocli.tasks.calibrate_camera.problem import CameraProblem
 from metrocli.tasks.shared.images.adjustment import AdjustedImages
 from metrocli.tasks.shared.images.camera_parameters import HIGH
@@ -30,8 +31,6 @@ _TURNED = np.radians(45.0)
 """Turn about the viewing axis between any two images from which an unknown board and the lens are distinguished"""
 _ENOUGH, _APART = 6, 5.0
 """Fewest readings of an image that a homography can contradict, and how many times as large its residuals are"""
-_SMOOTH = 10
-"""Coefficients of each image coordinate in the distortion of one image"""
 _LOST = 0.003
 """Median residual, as a share of the longer side of the image, beyond which lens and poses were not found"""
 _SHOWN = 4
@@ -212,16 +211,8 @@ def strange_images(problem: CameraProblem, images: Group, residuals: Array | Non
 
 
 def _off_any_view(plane: Array, uv: Array) -> float:
-    """Return the median distance [px] of image points (n, 2) from a homography of plane points and smooth distortion.
-
-    Distortion is a polynomial of the third degree where there are enough points: steps between these are short then.
-    """
-    off = projected(homography(plane, uv), plane) - uv
-    if len(uv) >= 2 * _SMOOTH:
-        x, y = ((plane - plane.mean(axis=0)) / np.ptp(plane, axis=0).max()).T
-        smooth = np.stack([x**i * y**j for i in range(4) for j in range(4 - i)], axis=1)
-        off = off - smooth @ np.linalg.lstsq(smooth, off, rcond=None)[0]
-    return float(np.median(np.linalg.norm(off, axis=1)))
+    """Return the median distance [px] of image points (n, 2) from a view of plane points by a lens."""
+    return float(np.median(np.linalg.norm(seen_by_a_lens(plane, uv, plane) - uv, axis=1)))
 
 
 def _examined(view: Index, residuals: Array | None) -> Mask:
