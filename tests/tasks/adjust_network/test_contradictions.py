@@ -138,3 +138,18 @@ def test_a_sighting_left_out_is_tested_where_the_others_put_its_point(tmp_path: 
     rejected = hdf5.read(tmp_path / "result.h5")[0].tables["rejected"]
     tests = dict(zip(rejected.texts("quantity"), rejected.numbers("w").tolist(), strict=True))
     assert tests["d"] > 1e5 and max(tests["az"], tests["el"]) < 5
+
+
+@pytest.mark.parametrize(("seed", "station", "point"), [(62, 0, 5), (64, 0, 2), (66, 0, 4)])
+def test_right_readings_of_its_point_stay_beside_a_wrong_distance(
+    seed: int, station: int, point: int, tmp_path: Path, metrocli: Metrocli
+) -> None:
+    """Two set-ups determine a point with few readings: a wrong one gives right ones more than half of its test."""
+    net = network(np.random.default_rng(seed), stations=2, points=9)
+    change = np.zeros_like(net.seen)
+    change[(net.station == station) & (net.point == point), 2] = 0.2
+    ran = metrocli("adjust-network", net.with_effect(change).write(tmp_path, more="outliers: remove\n"))
+    assert ran.code == 0, ran.err
+    rejected = hdf5.read(tmp_path / "result.h5")[0].tables["rejected"]
+    names = list(zip(*(rejected.texts(key) for key in ("station", "point", "quantity")), strict=True))
+    assert names == [(f"S{station + 1}", net.names[point], "d")]
