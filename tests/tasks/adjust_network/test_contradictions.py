@@ -153,3 +153,11 @@ def test_right_readings_of_its_point_stay_beside_a_wrong_distance(
     rejected = hdf5.read(tmp_path / "result.h5")[0].tables["rejected"]
     names = list(zip(*(rejected.texts(key) for key in ("station", "point", "quantity")), strict=True))
     assert names == [(f"S{station + 1}", net.names[point], "d")]
+
+
+def test_a_station_whose_distances_have_another_scale_is_doubtful_and_named(tmp_path: Path, metrocli: Metrocli) -> None:
+    net = network(np.random.default_rng(71), stations=4, points=20)
+    change = np.zeros_like(net.seen)
+    change[net.station == 1, 2] = 0.02 * net.seen[net.station == 1, 2]
+    ran = metrocli("adjust-network", net.with_effect(change).write(tmp_path, more="outliers: remove\n"))
+    assert ran.code == 6 and "readings of station S2 are left out as outliers (" in ran.out, ran.out
