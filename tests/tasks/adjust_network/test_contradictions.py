@@ -103,7 +103,7 @@ def far_off(net: Network, station: int, point: int) -> Network:
 def test_a_few_points_do_not_turn_a_set_up_after_a_wrong_name(seed: int, tmp_path: Path, metrocli: Metrocli) -> None:
     net = network(np.random.default_rng(seed), stations=2, points=8, levelled=seed == 1)
     ran = metrocli("adjust-network", under_another_name(net, 1, 1, 6).write(tmp_path))
-    assert ran.code == 3 and "P002 and P007 are exchanged at station S2" in ran.err, ran.err
+    assert ran.code == 3 and "P007 at station S2 is P002, line" in ran.err, ran.err
 
 
 @pytest.mark.parametrize("listed", [True, False])
