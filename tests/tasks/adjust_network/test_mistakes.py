@@ -124,3 +124,15 @@ def test_exchanged_points_are_found_beside_one_that_moved(tmp_path: Path, metroc
     change = np.where(moved[:, None], [5e-5, 0.0, 0.15], 0.0)
     ran = metrocli("adjust-network", replace(net, point=point).with_effect(change).write(tmp_path))
     assert ran.code == 3 and "P004 and P010 are exchanged at station S3" in ran.err, ran.err
+
+
+def test_no_other_reading_of_the_files_is_tried_for_motions_that_the_job_leaves_open(
+    tmp_path: Path, metrocli: Metrocli, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def tried(*_: object) -> None:
+        raise AssertionError("a correction is tried")
+
+    monkeypatch.setattr("metrocli.diagnosis.mistakes._tried", tried)
+    job = network(np.random.default_rng(60), 4, 15).write(tmp_path, more="datum_points: [P001, P002]\n")
+    ran = metrocli("adjust-network", job)
+    assert ran.code == 4 and "`datum_points` leave open" in ran.err, ran.err
