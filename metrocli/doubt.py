@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 
 from metrocli.record import CriterionVerdict
 from metrocli.result import Result, Scalar
+from metrocli.table import Table
 
 MOST = 2.0
 """Largest sigma0 of a result that may be used, where the job requires no other"""
@@ -13,6 +15,10 @@ _LEVEL = 0.999
 _CORNER = 0.05
 """Largest standard uncertainty of a projection into a corner, as a share of the longer side of the image"""
 _MOST_REJECTED = 1 / 3
+_FEWEST_REJECTED = 5
+"""Fewest readings of one source that are left out for one cause: fewer may each be wrong by themselves"""
+_SOURCES = ("station", "tracer", "image", "view", "leg", "line")
+"""Columns that name what many readings have in common"""
 
 
 def doubts_of(result: Result, verdicts: Sequence[CriterionVerdict], strict: bool = False) -> tuple[str, ...]:
@@ -20,12 +26,19 @@ def doubts_of(result: Result, verdicts: Sequence[CriterionVerdict], strict: bool
 
     The reasons are those of the kind's own checks (`Result.doubts`), and residuals that contradict the declared noise:
     sigma0 above 2, or above what the job requires, and above the 99.9 % bound `sqrt(chi2(0.999; dof) / dof)`. So is a
-    measurement of which more than a third was left out as outliers. A camera is doubtful whose projection into a corner
-    of the image is uncertain by more than 5 % of its longer side (`corner_std`), where the job requires no other. With
+    measurement of which more than a third was left out as outliers, or of one station, tracer, image, view or line, in
+    all or of one quantity. A camera is doubtful whose projection into a corner of the image is uncertain by more than
+    5 % of its longer side (`corner_std`), where the job requires no other. With
     `strict` every warning is a reason too.
     """
     figures = result.statistics
-    own = (*result.doubts, *_misfit(figures, verdicts), *_thinned(figures), *_uncovered(figures, verdicts))
+    own = (
+        *result.doubts,
+        *_misfit(figures, verdicts),
+        *_thinned(figures),
+        *_depleted(result.tables),
+        *_uncovered(figures, verdicts),
+    )
     return (*own, *result.warnings) if strict else own
 
 
@@ -62,6 +75,38 @@ def _thinned(statistics: Mapping[str, Scalar | Mapping[str, float]]) -> tuple[st
         f"{rejected:.0f} of {whole:.0f} readings are left out as outliers, more than a third: "
         "the model does not describe this measurement, do not use this result",
     )
+
+
+def _depleted(tables: Mapping[str, Table]) -> Iterator[str]:
+    """Yield a sentence for each station, or other source of readings, that lost many of them, unless all did."""
+    out, used = tables.get("rejected"), tables.get("residuals")
+    if out is None or used is None or not len(out):
+        return
+    for source in (source for source in _SOURCES if source in out and source in used):
+        lost = _by_quantity(out, source)
+        whole = lost + _by_quantity(used, source)
+        many = {
+            name for (name, what), n in lost.items() if n >= _FEWEST_REJECTED and n > _MOST_REJECTED * whole[name, what]
+        }
+        names = list(dict.fromkeys(name for name, _ in whole))
+        for name in names if len(many) < max(len(names), 2) else ():
+            if name in many:
+                each = [f"{n} of {whole[name, what]} {what}" for (of, what), n in lost.items() if of == name and what]
+                yield (
+                    f"{lost[name, '']} of {whole[name, '']} readings of {source} {name} are left out as outliers"
+                    f"{' (' * bool(each)}{', '.join(each)}{')' * bool(each)}: so many have one cause. "
+                    f"Look at units, names and settings of this {source}; do not use this result"
+                )
+
+
+def _by_quantity(table: Table, source: str) -> Counter[tuple[str, str]]:
+    """Return how many readings a table has by source and quantity, and of all quantities by source and ""."""
+    names, parts = table.texts(source), table.texts("component") if "component" in table else [""] * len(table)
+    # a reading of several components has a row for each
+    counts = Counter((name, "") for name, part in zip(names, parts, strict=True) if part == parts[0])
+    if "quantity" in table:
+        counts.update(zip(names, table.texts("quantity"), strict=True))
+    return counts
 
 
 def _uncovered(

@@ -15,6 +15,7 @@ from metrocli.doubt import chi_bound, doubts_of
 from metrocli.formats import hdf5
 from metrocli.record import CriterionVerdict
 from metrocli.result import Result
+from metrocli.table import Table
 
 HEAD = "metrocli: 1\njob: straight-line\nnoise: 30 um\n"
 """The readings of the tests' job scatter by 95 um about their line, with 2 degrees of freedom: sigma0 = 3.16"""
@@ -63,6 +64,33 @@ def test_when_residuals_make_a_result_doubtful(sigma0: float, dof: int, required
 @pytest.mark.parametrize(("rejected", "doubtful"), [(0, False), (50, False), (51, True)])
 def test_more_than_a_third_left_out_is_doubtful(rejected: int, doubtful: bool) -> None:
     assert bool(found(1.0, 50, rejected=rejected, readings=100, observations=200)) == doubtful
+
+
+def depleted(names: list[str], quantity: dict[str, list[str]], out: int) -> tuple[str, ...]:
+    """Doubts about readings of which the first ones are left out."""
+    tables = {
+        name: Table.of({"station": np.array(names)[rows], **{key: np.array(q)[rows] for key, q in quantity.items()}})
+        for name, rows in (("rejected", slice(None, out)), ("residuals", slice(out, None)))
+    }
+    return doubts_of(Result("straight-line", "", (), np.zeros((0, 0)), {}, tables=tables), ())
+
+
+def test_a_station_without_a_third_of_its_readings_is_named() -> None:
+    names = ["S1"] * 15 + ["S2"] * 15
+    assert depleted(names, {}, 5) == ()
+    assert depleted(names, {}, 6)[0].startswith("6 of 15 readings of station S1 are left out as outliers: ")
+    # few readings may each be wrong by themselves
+    assert depleted(["S1"] * 6 + ["S2"] * 15, {}, 4) == ()
+
+
+def test_a_station_without_its_readings_of_one_quantity_is_named_with_it() -> None:
+    names, quantity = ["S1"] * 15 + ["S2"] * 15, ["d"] * 5 + ["az"] * 5 + ["el"] * 5 + ["d"] * 15
+    found = depleted(names, {"quantity": quantity}, 5)
+    assert found[0].startswith("5 of 15 readings of station S1 are left out as outliers (5 of 5 d): ")
+
+
+def test_no_station_is_named_where_all_lost_their_readings() -> None:
+    assert depleted(["S1", "S2"] * 20, {}, 20) == ()
 
 
 def test_an_estimated_noise_is_no_sigma0() -> None:

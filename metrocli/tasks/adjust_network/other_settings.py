@@ -21,6 +21,7 @@ from metrocli.tasks.adjust_network.settings import Files, Settings
 from metrocli.tasks.adjust_network.starts.agreement import NetworkStart, disagreement, list_offset, medians, placed
 from metrocli.tasks.adjust_network.starts.search import start
 from metrocli.tasks.job import Job
+from metrocli.words import listed
 
 _GON = 0.9
 """Degrees in a gon"""
@@ -103,28 +104,60 @@ def _with(job: Job[Settings, Files], mistake: Mistake, changed: dict[str, Array]
 
 
 def _exchanged(job: Job[Settings, Files], readings: NetworkReadings, rough: NetworkStart) -> Iterator[_Other]:
-    """Yield points whose names are exchanged at a station, or in the list."""
-    seen = readings.sightings
+    """Yield points whose names are exchanged at a station or in the list, and rows with the name of another point."""
+    seen, names, stations = readings.sightings, readings.points.names, readings.stations.names
     rows, places = placed(readings, rough)
-    middle = medians(places, seen.point[rows], readings.points.count)
+    exchanged: dict[tuple[int, int], list[int]] = {}
+    count = readings.points.count
+    # one vote of each station and of the list: two faces are no two witnesses of a name
+    votes = medians(places, seen.station[rows] * count + seen.point[rows], len(stations) * count)
+    votes = np.concatenate([votes.reshape(-1, count, 3), readings.points.listed[None]])
     for station in np.unique(seen.station[rows]).tolist():
         here = seen.station[rows] == station
-        own = medians(places[here], seen.point[rows][here], readings.points.count)
-        for first, second in _pairs(own, middle):
-            names = readings.points.names[first], readings.points.names[second]
-            where = readings.stations.names[station]
-            words = f"{names[0]} and {names[1]} are exchanged at station {where}"
-            write = f"{names[1]} for {names[0]} and {names[0]} for {names[1]} in the rows of {where}"
-            mistake = _exchange("readings", words, write, seen.table)
-            yield mistake, replace(job, files=replace(job.files, readings=_swapped(seen.table, names, where)))
+        # its own sightings would move the points, of two stations half the way
+        others = np.delete(votes, station, axis=0).reshape(-1, 3)
+        known = np.flatnonzero(np.isfinite(others).all(axis=1))
+        wrong = _renamed_rows(seen.point, rows[here], places[here], medians(others[known], known % count, count))
+        for (first, second), lines in wrong.items():
+            if (second, first) not in wrong:
+                where = listed([f"line {seen.table.lines[row]}" for row in lines]) if seen.table.lines else "its row"
+                words = f"{names[first]} at station {stations[station]} is {names[second]}, {where}"
+                mistake = _exchange("readings", words, f"{names[second]} for {names[first]} in {where}", seen.table)
+                texts = np.array(seen.table.texts("point"), dtype=object)
+                texts[lines] = names[second]
+                columns = {**seen.table.columns, "point": texts.astype(str)}
+                yield mistake, replace(job, files=replace(job.files, readings=replace(seen.table, columns=columns)))
+            elif first < second:
+                exchanged.setdefault((first, second), []).append(station)
+    for (first, second), at in exchanged.items():
+        pair, where = (names[first], names[second]), stations[at[0]]
+        # two stations alone do not show which of them is wrong
+        words = f"{pair[0]} and {pair[1]} are exchanged at station {' or '.join(stations[i] for i in at)}"
+        write = f"{pair[1]} for {pair[0]} and {pair[0]} for {pair[1]} in the rows of {where}"
+        mistake = _exchange("readings", words, write, seen.table)
+        yield mistake, replace(job, files=replace(job.files, readings=_swapped(seen.table, pair, where)))
     table = job.files.points
     if not isinstance(table, Table):
         return
+    middle = medians(places, seen.point[rows], count)
     for first, second in _pairs(readings.points.listed, middle):
-        names = readings.points.names[first], readings.points.names[second]
-        words = f"{names[0]} and {names[1]} are exchanged"
-        mistake = _exchange("points", words, f"{names[1]} for {names[0]}, and the reverse", table)
-        yield mistake, replace(job, files=replace(job.files, points=_swapped(table, names)))
+        pair = names[first], names[second]
+        words = f"{pair[0]} and {pair[1]} are exchanged"
+        mistake = _exchange("points", words, f"{pair[1]} for {pair[0]}, and the reverse", table)
+        yield mistake, replace(job, files=replace(job.files, points=_swapped(table, pair)))
+
+
+def _renamed_rows(point: Index, rows: Index, places: Array, middle: Array) -> dict[tuple[int, int], list[int]]:
+    """Return the sightings that stand near another point (at `middle`) than their own, by both points."""
+    own = middle[point[rows]]
+    off = np.nan_to_num(np.linalg.norm(places - own, axis=1))
+    found: dict[tuple[int, int], list[int]] = {}
+    for i in np.argsort(-off, kind="stable")[:_MOST].tolist():
+        share = np.linalg.norm(places[i] - middle, axis=1) / np.maximum(np.linalg.norm(own[i] - middle, axis=1), 1e-9)
+        share[point[rows[i]]] = np.nan
+        if np.nanmin(share, initial=np.inf) < _NEAR:
+            found.setdefault((int(point[rows[i]]), int(np.nanargmin(share))), []).append(int(rows[i]))
+    return found
 
 
 def _exchange(key: str, words: str, write: str, table: Table) -> Mistake:

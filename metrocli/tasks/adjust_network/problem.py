@@ -260,4 +260,5 @@ def must_be_held(settings: Settings, network: Network) -> None:
         return
     if loose:
         cure = cure.format("three that are not on a line fix every motion")
-        raise UndeterminedError(f"{by} leave open: {in_a_row(loose)}.\n  {cure}")
+        # no misfit: no other reading of the files would fix these motions, so none is tried
+        raise UndeterminedError(f"{by} leave open: {in_a_row(loose)}.\n  {cure}", 0.0)

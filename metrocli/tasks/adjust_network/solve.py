@@ -31,7 +31,7 @@ from metrocli.tasks.adjust_network.starts.contradictions import (
     removable,
     sightings_to_blame,
 )
-from metrocli.tasks.adjust_network.suspects import SuspectedReading, contradictions, suspected
+from metrocli.tasks.adjust_network.suspects import SuspectedReading, contradictions, suspected, worst_of_points
 from metrocli.tasks.shared.mirror import Mirrored
 from metrocli.words import listed
 
@@ -106,9 +106,7 @@ def solve(settings: Settings, network: Network, remove: bool) -> AdjustedNetwork
     def renewed(used: _Used, solved: AdjustedNetwork) -> tuple[_Used, bool]:
         if not remove or not solved.suspects:
             return used, False
-        most = max(suspect.test for suspect in solved.suspects)
-        # smaller ones may be no more than what larger ones do to the fit: they are tested again without these
-        worst = tuple(suspect for suspect in solved.suspects if suspect.test >= most / 2)
+        worst = tuple(worst_of_points(solved.suspects))
         return _Used(_without(solved.network, solved.solution.blocks, worst), (*used.out, *worst)), True
 
     solved = in_rounds(begun, lambda used: _adjusted(used), renewed)[1]

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
 from metrocli.adjust.model.blocks import Block
-from metrocli.adjust.robust import FitQuality, suspects
+from metrocli.adjust.model.groups import Group
+from metrocli.adjust.robust import FitQuality, as_likely, suspects
 from metrocli.adjust.solution import Residuals, Solution
 from metrocli.arrays import Index
 from metrocli.frozen import dataclass
-from metrocli.tasks.adjust_network.groups import GIVEN_POINTS
+from metrocli.instruments.tracer import POINT
+from metrocli.tasks.adjust_network.groups import GIVEN_POINTS, OF_POINT
 from metrocli.tasks.adjust_network.problem import Network
 
 
@@ -24,6 +26,8 @@ class SuspectedReading:
     """Among the readings of the group that were in use"""
     test: float
     keys: Mapping[str, str]
+    points: frozenset[int]
+    """Numbers of the points that it concerns"""
 
     @property
     def name(self) -> str:
@@ -44,12 +48,27 @@ def suspected(of_groups: Mapping[str, Residuals], solution: Solution) -> Iterato
     tested = suspects(
         Residuals(*(np.concatenate(part, axis=1) for part in parts)), FitQuality(solution.cost, solution.dof, True)
     )
-    groups = {group.name: group.observations.keys for group in solution.groups}
+    groups = {group.name: group for group in solution.groups}
     for i in np.argsort(-tested.tests, kind="stable").tolist():
         name, row = names[int(tested.rows[i])], int(rows[tested.rows[i]])
-        yield SuspectedReading(
-            name, row, float(tested.tests[i]), {key: texts[row] for key, texts in groups[name].items()}
-        )
+        yield _suspect(groups[name], row, float(tested.tests[i]))
+
+
+def worst_of_points(suspects: Sequence[SuspectedReading]) -> Iterator[SuspectedReading]:
+    """Yield suspects that can be left out together, of some that begin with the worst.
+
+    They have at least half of the largest test. Few readings determine a point, and a wrong one moves it against right
+    ones. So of each point only the worst is left out, with those that are as likely to be wrong; the others are tested
+    again without it.
+    """
+    largest: dict[int, float] = {}
+    for suspect in suspects:
+        if suspect.test < suspects[0].test / 2:
+            return
+        worse = max((largest[point] for point in suspect.points if point in largest), default=suspect.test)
+        if as_likely(np.square([worse, suspect.test]))[1]:
+            largest |= dict.fromkeys(suspect.points, worse)
+            yield suspect
 
 
 def contradictions(
@@ -60,5 +79,12 @@ def contradictions(
         group = network.model.group(name)
         tests = np.abs(group.observations.whitened(group.residuals(blocks))).max(axis=0)
         for row in rows.tolist():
-            keys = {key: texts[row] for key, texts in group.observations.keys.items()}
-            yield SuspectedReading(name, row, float(tests[row]), keys)
+            yield _suspect(group, row, float(tests[row]))
+
+
+def _suspect(group: Group, row: int, test: float) -> SuspectedReading:
+    index = group.observations.index
+    # the mark under a station is no point of its sightings: all of them would be alike
+    points = np.atleast_2d(index.get(OF_POINT, index[POINT]))[:, row]
+    keys = {key: texts[row] for key, texts in group.observations.keys.items()}
+    return SuspectedReading(group.name, row, test, keys, frozenset(points.tolist()))

@@ -79,7 +79,8 @@ def _must_have_places(readings: NetworkReadings, start: NetworkStart) -> None:
     meant = "".join(suggestion(name, others) for name in names[:1])
     raise UndeterminedError(
         f"points have no place: {listed(names)}. No sighting shows them, and no list has their coordinates.\n"
-        f"  Look at their names in bars, heights and lengths{f'; {meant}' if meant else ''}"
+        f"  Look at their names in bars, heights and lengths{f'; {meant}' if meant else ''}",
+        0.0,
     )
 
 

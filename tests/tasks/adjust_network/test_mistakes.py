@@ -33,6 +33,28 @@ def test_exchanged_points_are_proposed_at_their_station(tmp_path: Path) -> None:
     assert not [one for one in proposed(net, tmp_path) if "exchanged" in one]
 
 
+@pytest.mark.parametrize(("listed", "faces", "station"), [(True, 1, "S2"), (True, 2, "S2"), (False, 1, "S1 or S2")])
+def test_points_exchanged_at_one_of_two_stations_are_proposed(
+    listed: bool, faces: int, station: str, tmp_path: Path
+) -> None:
+    """With their own sightings, points of two stations stand half the way; a list decides which one is right."""
+    net = network(np.random.default_rng(58), 2, 12, faces=faces, listed=listed)
+    point, here = net.point.copy(), net.station == 1
+    point[here & (net.point == 3)], point[here & (net.point == 9)] = 9, 3
+    found = proposed(replace(net, point=point), tmp_path)
+    assert [one for one in found if "exchanged" in one] == [f"P004 and P010 are exchanged at station {station}"]
+
+
+def test_one_row_with_another_name_is_not_called_exchanged(tmp_path: Path) -> None:
+    net = network(np.random.default_rng(59), 3, 12)
+    kept = ~((net.station == 2) & (net.point == 9))
+    point = np.where((net.station == 2) & (net.point == 3), 9, net.point)[kept]
+    net = replace(net, station=net.station[kept], point=point, face=net.face[kept], seen=net.seen[kept])
+    found = proposed(net, tmp_path)
+    assert not [one for one in found if "exchanged" in one]
+    assert [one for one in found if "P010" in one] == ["P010 at station S3 is P004, line 29"]
+
+
 def test_a_height_of_the_wrong_sign_is_proposed_with_its_line(tmp_path: Path) -> None:
     net = network(np.random.default_rng(52), 3, 12, mixed=True)
     first, *rest = net.heights
@@ -102,3 +124,15 @@ def test_exchanged_points_are_found_beside_one_that_moved(tmp_path: Path, metroc
     change = np.where(moved[:, None], [5e-5, 0.0, 0.15], 0.0)
     ran = metrocli("adjust-network", replace(net, point=point).with_effect(change).write(tmp_path))
     assert ran.code == 3 and "P004 and P010 are exchanged at station S3" in ran.err, ran.err
+
+
+def test_no_other_reading_of_the_files_is_tried_for_motions_that_the_job_leaves_open(
+    tmp_path: Path, metrocli: Metrocli, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def tried(*_: object) -> None:
+        raise AssertionError("a correction is tried")
+
+    monkeypatch.setattr("metrocli.diagnosis.mistakes._tried", tried)
+    job = network(np.random.default_rng(60), 4, 15).write(tmp_path, more="datum_points: [P001, P002]\n")
+    ran = metrocli("adjust-network", job)
+    assert ran.code == 4 and "`datum_points` leave open" in ran.err, ran.err
