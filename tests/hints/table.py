@@ -244,6 +244,7 @@ UNITS = [
     Row("{} are swapped", "xm60-launch-unit", LAUNCH, {TABLE: put("phi1_rad,phi2_rad", "phi2_rad,phi1_rad")}, {TABLE: times(1.05, *PHI)}, "error", "phi1 and phi2", slow=True),
     Row("{} count the other way round", "xm60-launch-unit", LAUNCH, {TABLE: times(-1, "phi2_rad")}, {TABLE: times(1.05, *PHI)}, "error", "phi2", slow=True),
     Row("the spindle's angle counts the other way round", "xm60-launch-unit", LAUNCH, {TABLE: times(-1, "spindle_rad")}, {TABLE: times(1.05, *PHI)}, "error", slow=True),
+    Row("z has the wrong sign", "xm60-launch-unit", LAUNCH, {TABLE: times(-1, "z_mm")}, {TABLE: times(1.05, *PHI)}, "error", slow=True),
     Row("(the mirror solution)", "xm60-launch-unit", LAUNCH, {TABLE: then(times(-1, "phi3_rad"), cells("phi4_rad", lambda c: float(c) + 3.141592653589793))},
         {TABLE: times(1.05, *PHI)}, "error", slow=True),
 ]  # fmt: skip
