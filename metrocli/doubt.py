@@ -14,7 +14,8 @@ MOST = 2.0
 _LEVEL = 0.999
 _CORNER = 0.05
 """Largest standard uncertainty of a projection into a corner, as a share of the longer side of the image"""
-_MOST_REJECTED = 1 / 3
+MOST_REJECTED = 1 / 3
+"""Largest share of outliers: more of them have one cause"""
 _FEWEST_REJECTED = 5
 """Fewest readings of one source that are left out for one cause: fewer may each be wrong by themselves"""
 _SOURCES = ("station", "tracer", "image", "view", "leg", "line")
@@ -69,7 +70,7 @@ def _misfit(
 def _thinned(statistics: Mapping[str, Scalar | Mapping[str, float]]) -> tuple[str, ...]:
     rejected = _number(statistics.get("rejected"))
     whole = rejected + _number(statistics.get("readings", statistics.get("observations")))
-    if not rejected > _MOST_REJECTED * whole:
+    if not rejected > MOST_REJECTED * whole:
         return ()
     return (
         f"{rejected:.0f} of {whole:.0f} readings are left out as outliers, more than a third: "
@@ -86,7 +87,7 @@ def _depleted(tables: Mapping[str, Table]) -> Iterator[str]:
         lost = _by_quantity(out, source)
         whole = lost + _by_quantity(used, source)
         many = {
-            name for (name, what), n in lost.items() if n >= _FEWEST_REJECTED and n > _MOST_REJECTED * whole[name, what]
+            name for (name, what), n in lost.items() if n >= _FEWEST_REJECTED and n > MOST_REJECTED * whole[name, what]
         }
         names = list(dict.fromkeys(name for name, _ in whole))
         for name in names if len(many) < max(len(names), 2) else ():

@@ -188,13 +188,14 @@ def distant(network: TracerNetwork, probing: Probing | None) -> tuple[str, ...]:
     if not far:
         return ()
     return (
-        f"{far} probing points were replayed up to {gap.max():.3g} mm away from where they were probed: "
-        "the correction is valid only if the mover's error is the same at both places",
+        f"probing points were replayed up to {gap.max():.3g} mm away from where they were probed ({far} of {len(gap)} "
+        f"by more than {probing.tolerance:.3g} mm): the correction is valid only if the mover's error is the same at "
+        "both places",
     )
 
 
 def wrong_entries(network: TracerNetwork, solution: Solution) -> tuple[str, ...]:
-    """Return a warning if the frame of a free network depends on entries of the list of points that look wrong."""
+    """Return why a free network is doubtful whose frame depends on entries of the list of points that look wrong."""
     rows = np.flatnonzero((network.seen > 0) & network.unknown)
     if network.datum is None or len(rows) < _ENOUGH:
         return ()
@@ -205,9 +206,8 @@ def wrong_entries(network: TracerNetwork, solution: Solution) -> tuple[str, ...]
         return ()
     names = [network.blocks[t.POINT].members[rows[i]] for i in far[np.argsort(-size[far])]]
     return (
-        f"the entries of {len(names)} points may be wrong: {listed(names)} lie up to {size.max():.3g} mm from their "
-        f"place in the list of points, the others about {median(size):.3g} mm; wrong entries turn and shift the "
-        "frame: correct them",
+        f"the list of points may be wrong at {listed(names)}: up to {size.max():.3g} mm from the adjusted place, the "
+        f"others about {median(size):.3g} mm; a wrong entry turns and shifts the frame: correct it",
     )
 
 

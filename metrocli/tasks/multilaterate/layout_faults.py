@@ -10,11 +10,14 @@ import numpy as np
 from metrocli.adjust.outcome import Outcome
 from metrocli.adjust.solution import Solution
 from metrocli.arrays import Array, extents
+from metrocli.doubt import MOST_REJECTED
 from metrocli.effects.estimates import absorbed
+from metrocli.errors import UndeterminedError
 from metrocli.instruments import tracer as t
 from metrocli.tasks.multilaterate.problem import TracerNetwork
 from metrocli.words import listed
 
+APART = "lengths, points and tracers do not belong together (units, axes, names)"
 TOO_WEAK, WEAK = 300.0, 10.0
 """Ratios of the uncertainty of points to that of lengths: above the first it is an error, above the second a warning"""
 _THIN = 0.02
@@ -38,6 +41,21 @@ def is_determined(network: TracerNetwork, solution: Solution) -> bool:
     if solution.undetermined or solution.outcome is Outcome.TOO_FEW:
         return False
     return solution.covariance is None or weakness(network, solution) <= TOO_WEAK
+
+
+def must_carry(network: TracerNetwork, solution: Solution, whole: TracerNetwork) -> None:
+    """Raise UndeterminedError if the lengths in use do not determine the points; `whole` has those left out too."""
+    if is_determined(network, solution):
+        return
+    count, used = whole.lengths.observations.count, network.lengths.observations.count
+    if count - used > MOST_REJECTED * count:
+        # not the layout is to blame: lengths that contradict each other like this call for another reading of the files
+        raise UndeterminedError(
+            f"{count - used} of {count} lengths contradict the others, and the rest does not determine the points\n"
+            f"  why: {APART}",
+            float("inf"),
+        )
+    raise UndeterminedError(explained(network, solution), solution.misfit)
 
 
 def warnings(network: TracerNetwork, solution: Solution) -> list[str]:
@@ -120,6 +138,8 @@ def _three(network: TracerNetwork) -> str:
 
 def _shapes(network: TracerNetwork, solution: Solution) -> Iterator[str]:
     tracers, points = network.blocks[t.TRACER], network.blocks[t.POINT].values[network.seen > 0]
+    if not len(points):
+        return
     if _flat(points, 1):
         yield "the points lie on a line: add points away from it in two directions"
         return

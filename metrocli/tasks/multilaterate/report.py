@@ -100,6 +100,7 @@ def report(
         ),
         details=noise.details([estimate.name for estimate in delivered]),
         plain=("dof",),
+        doubts=wrong_entries(solved.network, solved.solution),
         list_offset=max(solved.list_offset, list_offset(solved.network, probing)),
     )
 
@@ -252,7 +253,7 @@ def _warnings(solved: AdjustedTracers) -> list[str]:
     gone = _lost(solved)
     if gone:
         lines.append(f"{len(gone)} points are left out, since too few of their lengths remain: {listed(gone)}")
-    lines += [*wrong_entries(solved.network, solved.solution), *_elsewhere(solved)]
+    lines += _elsewhere(solved)
     lines += scale_warnings(solved.network, solved.solution)
     return lines + layout_faults.warnings(solved.network, solved.solution)
 

@@ -31,7 +31,7 @@ from metrocli.tasks.multilaterate.blunders import (
     unchecked,
     undisturbed_start,
 )
-from metrocli.tasks.multilaterate.layout_faults import explained, is_determined
+from metrocli.tasks.multilaterate.layout_faults import APART, explained, must_carry
 from metrocli.tasks.multilaterate.problem import LENGTHS, TracerNetwork
 from metrocli.tasks.multilaterate.uncontrolled import EQUAL, at_others, noise_of_tests, second_places, units_of_tests
 from metrocli.tasks.shared.lengths import with_repeatability
@@ -47,7 +47,6 @@ _ASTRAY = 0.05
 _DOUBT = 0.05
 """Level of significance of the test of the remaining lengths at a point that lost some"""
 _NO_PLACES = "the adjustment ended in a wrong place: give approximate places of the tracers in `inputs: tracers`"
-_PLACES = "lengths, points and tracers do not belong together (units, axes, names)"
 _DELAY = ", or all lengths share a large error, such as a delay: `effects: [{name: length-offset}]` estimates it"
 """Why points are far from their list: with and without listed places of all tracers, and if lengths are absolute"""
 _POINTS_NEAR, _TRACERS_NEAR = 0.02, 0.5
@@ -137,7 +136,7 @@ def solve(network: TracerNetwork, remove: bool) -> AdjustedTracers:
     state = undisturbed_start(start) if remove else quick_start(start)
     # of a large network only the adjustment is checked: this costs nearly as much as it does
     if len(network.nominal) <= _SMALL_ENOUGH:
-        _must_carry(start, covariance_at(state.values(), groups, start.datum))
+        must_carry(start, covariance_at(state.values(), groups, start.datum), network)
     gross = far_off(network, state) if remove else {}
     begun = _KeptLengths(brought_back(network, state, gross), gross | out, bool(gross))
 
@@ -178,7 +177,7 @@ def _adjusted(network: TracerNetwork, state: Mapping[str, Block], out: dict[int,
     blocks = {name: replace(block, free=used.blocks[name].free) for name, block in state.items()}
     used, solution = with_repeatability(used.with_blocks(blocks), _weighted, LENGTHS)
     network = replace(network, noise=used.noise)
-    _must_carry(used, solution)
+    must_carry(used, solution, network)
     if not solution.outcome.good:
         raise not_converged(used, state, solution)
     _must_be_near(used, solution)
@@ -203,11 +202,6 @@ def _kept(network: TracerNetwork, out: Mapping[int, Rejected]) -> Mask:
     return keep
 
 
-def _must_carry(network: TracerNetwork, solution: Solution) -> None:
-    if not is_determined(network, solution):
-        raise UndeterminedError(explained(network, solution), solution.misfit)
-
-
 def _must_see_effects(network: TracerNetwork, solution: Solution) -> None:
     """Raise UndeterminedError if the other unknowns absorb an effect; the adjustment could make it very large."""
     if solution.undetermined and absorbed(network.effects, solution, network.datum):
@@ -224,7 +218,7 @@ def _must_be_near(network: TracerNetwork, solution: Solution) -> None:
     if middle > _ASTRAY * extents(network.nominal[seen]).max() + _noise_of(network):
         size = _size(solution.blocks[t.POINT].values[seen]) / _size(network.nominal[seen])
         scaled = f"the points found are {size:.2g} times as far apart as those of the list: check units and scales"
-        placed = _PLACES + _DELAY * network.absolute if np.isfinite(network.listed_at).all() else _NO_PLACES
+        placed = APART + _DELAY * network.absolute if np.isfinite(network.listed_at).all() else _NO_PLACES
         why = scaled if abs(size - 1) > _ASTRAY else placed
         raise NotConvergedError(f"the points found lie {middle:.3g} mm from their listed places (median): {why}")
 

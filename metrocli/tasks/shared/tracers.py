@@ -252,7 +252,7 @@ def _factors() -> list[tuple[float, str]]:
     Of the units with one ratio those stand for all whose heading is in mm.
     """
     ones = {unit.symbol: unit.inside(1.0) for unit in units.DIMENSIONS["length"].units if unit.reported}
-    ones |= {"cm": 10.0}
+    ones |= {"cm": 10.0, "inches": units.INCH}
     causes: dict[float, str] = {}
     for b in sorted(ones, key=lambda unit: unit != "mm"):
         for a in ones:

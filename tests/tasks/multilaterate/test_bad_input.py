@@ -209,6 +209,32 @@ def test_several_gross_errors_of_one_tracer_are_named(folder: Path, metrocli: Me
     assert "3 lengths are left out as wrong: P0/T2, P1/T2, P9/T2" in ran.err
 
 
+def test_lengths_in_inches_are_named_where_outliers_are_removed(folder: Path, metrocli: Metrocli) -> None:
+    """Nearly all are left out then, and the rest determines nothing: no layout is to blame."""
+
+    def edit(rows: list[str]) -> list[str]:
+        head, *rest = rows
+        at = head.split(",").index("length_mm")
+        cells = [row.split(",") for row in rest]
+        inches = [[*row[:at], repr(float(row[at]) / 25.4), *row[at + 1 :]] for row in cells]
+        return [head, *(",".join(row) for row in inches)]
+
+    change(folder / "lengths.csv", edit)
+    ran = metrocli("multilaterate", "job.yaml", "--set", "outliers=remove")
+    assert ran.code == 3 and "they fit if they are multiplied by 25.4, as numbers in inches" in ran.err, ran.err
+
+
+def test_lengths_of_other_rows_are_no_fault_of_the_layout(tmp_path: Path, metrocli: Metrocli) -> None:
+    """Where outliers are removed, so many contradict the others that the rest determines nothing."""
+    metrocli("init", tmp_path / "gear", "--sample", "gear-m3d3")
+    file = tmp_path / "gear" / "data" / "lengths.csv"
+    head, *rest = file.read_text().splitlines()
+    names, values = zip(*(row.rsplit(",", 1) for row in rest), strict=True)
+    file.write_text("\n".join([head, *map(",".join, zip(names, [*values[1:], values[0]], strict=True))]) + "\n")
+    ran = metrocli("multilaterate", tmp_path / "gear/jobs/tip3.yaml", "--set", "outliers=remove")
+    assert ran.code == 4 and "lengths contradict the others, and the rest does not determine" in ran.err, ran.err
+
+
 def test_a_wrong_entry_among_the_points_is_named(folder: Path, metrocli: Metrocli) -> None:
     """A typing error of 1 mm: the frame follows it by 1/25 of that, so it must not pass in silence."""
 
@@ -218,8 +244,8 @@ def test_a_wrong_entry_among_the_points_is_named(folder: Path, metrocli: Metrocl
 
     change(folder / "points.csv", edit)
     ran = metrocli("multilaterate", "job.yaml")
-    assert ran.code == 0, ran.err
-    assert "the entries of 1 points may be wrong: P8 lie up to 0.969 mm" in ran.err
+    assert ran.code == 6, ran.err
+    assert "the list of points may be wrong at P8: up to 0.969 mm from the adjusted place" in ran.out
 
 
 @pytest.mark.parametrize("key", ["tolerance: 2 mm", "correction: {tip: 0.3 um}"])
