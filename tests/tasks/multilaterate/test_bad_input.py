@@ -224,6 +224,7 @@ def test_lengths_in_inches_are_named_where_outliers_are_removed(folder: Path, me
     assert ran.code == 3 and "they fit if they are multiplied by 25.4, as numbers in inches" in ran.err, ran.err
 
 
+@pytest.mark.slow
 def test_lengths_of_other_rows_are_no_fault_of_the_layout(tmp_path: Path, metrocli: Metrocli) -> None:
     """Where outliers are removed, so many contradict the others that the rest determines nothing."""
     metrocli("init", tmp_path / "gear", "--sample", "gear-m3d3")
