@@ -103,7 +103,7 @@ def without_mistakes(inputs: Inputs, adjust: Adjust, others: Others = no_others)
     ]
     if tried:
         alike = _as_good(tried)
-        # of equals the first is taken, which changes the fewest columns
+        # of equals the likeliest is taken
         after, _, best = alike[0]
         return best, Mistaken(tuple(mistake for _, mistake, _ in alike), best, before, after)
     if job is None:
@@ -256,11 +256,14 @@ def misread(
 
 
 def _as_good(tried: list[tuple[float, Mistake, T]]) -> list[tuple[float, Mistake, T]]:
-    """Return the mistakes that explain a job about as well as the best one, those of the fewest columns first."""
+    """Return the mistakes that explain a job about as well as the best one, the likeliest first.
+
+    Metres or inches under a heading in mm are likelier than um; then few columns are likelier than many.
+    """
     best = min(value for value, _, _ in tried)
     # residuals below 2 sigma all fit, and which of them fit best is chance
     alike = [trial for trial in tried if trial[0] <= max(_AS_GOOD * best, _AS_GOOD / ABSURD)]
-    return sorted(alike, key=lambda trial: (trial[1].columns, trial[0]))
+    return sorted(alike, key=lambda trial: (-trial[1].shrinks, trial[1].columns, trial[0]))
 
 
 def _unexplained(failure: MetrocliError) -> bool:
