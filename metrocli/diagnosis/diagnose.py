@@ -24,7 +24,7 @@ from metrocli.diagnosis.evidence.prices import LEVEL
 from metrocli.diagnosis.evidence.scored import remade
 from metrocli.diagnosis.evidence.search import pruned
 from metrocli.diagnosis.evidence.state import State
-from metrocli.diagnosis.explanations import correlated_errors, noise_instead, random_effects, smooth, with_confirmed
+from metrocli.diagnosis.explanations import correlated_errors, noise_instead, random_effects, smooth
 from metrocli.diagnosis.extended_fit import extended_fit, readings_kept, result_changes, sizes
 from metrocli.diagnosis.findings import UNREACHED, Diagnosis, Finding, RemainingStructure, Unconfirmed
 from metrocli.diagnosis.laws.search import Law, stood_for, with_laws
@@ -33,7 +33,7 @@ from metrocli.diagnosis.linear.projection import Linearised
 from metrocli.diagnosis.linear.signatures import signature
 from metrocli.diagnosis.noise import VarianceGroup, noise_of
 from metrocli.diagnosis.power.collinear import separations
-from metrocli.diagnosis.rounds import searched
+from metrocli.diagnosis.rounds import searched, with_confirmed
 from metrocli.diagnosis.wrong_readings import wrong_readings
 from metrocli.effects.correlated import NAME as CORRELATED_ERROR
 from metrocli.progress import SILENT, Progress
@@ -73,6 +73,7 @@ def diagnose(
     progress.doing("looking for structure", job.budget.left())
     with attended(job.budget.interrupt):
         first, state = searched(job, quick)
+        state, lost = with_confirmed(job, state, quick)
         job = state.measurement.job
         laws: tuple[Law, ...] = ()
         if not quick:
@@ -81,6 +82,7 @@ def diagnose(
             state, laws = result.state, result.laws
     progress.doing("cross-validating: predicting parts of the readings from the others", job.budget.left())
     state, names, gained, unconfirmed = _confirmed(state, ordered, quick)
+    unconfirmed = *lost, *unconfirmed
     kept = readings_kept(state.measurement, state.readings)
     # the job of the first round: in that of the last one, effects on its own blocks stand at a fixed size
     fit = extended_fit(first.measurement.job, names, kept) if names else None
@@ -127,7 +129,7 @@ def _confirmed(
     their sum is positive. In a quick diagnosis the log score alone has to be. Effects whose sizes may be nothing leave
     one by one.
     """
-    state, lost = with_confirmed(state)
+    lost: list[Unconfirmed] = []
     while True:
         names = all_identified(state) if quick else with_jackknife(state, all_identified(state))
         gained = gains(state, names, ordered, nested=not quick) if names else []

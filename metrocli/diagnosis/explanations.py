@@ -167,18 +167,17 @@ def _visible(state: State, part: Random) -> float:
     return float(np.sqrt(max(1 - inside / max(whole, 1e-300), 0.0)))
 
 
-def with_confirmed(state: State) -> tuple[State, list[Unconfirmed]]:
-    """Return the state without the effects at all their places that held-out readings do not confirm, and these.
+def not_confirmed(state: State) -> list[tuple[Random, Unconfirmed]]:
+    """Return the effects at all their places that held-out readings do not confirm.
 
     A smooth one fits whatever readings share, so that its gain has to be shown.
     """
-    lost: list[Unconfirmed] = []
+    lost: list[tuple[Random, Unconfirmed]] = []
     for part in (part for part in state.random if part.kind == SCATTER):
         gain, effect = gain_of_parts(state, [part]), _effect_of(state, part)
         if not (gain.shown if effect.is_smooth else gain.log_score > 0):
-            lost.append(Unconfirmed(f"{effect.name} {effect.everywhere}", gain.log_score))
-            state = state.minus([part])
-    return state, lost
+            lost.append((part, Unconfirmed(f"{effect.name} {effect.everywhere}", gain.log_score)))
+    return lost
 
 
 def _effect_of(state: State, part: Random) -> Effect:
