@@ -82,7 +82,6 @@ def diagnose(
             state, laws = result.state, result.laws
     progress.doing("cross-validating: predicting parts of the readings from the others", job.budget.left())
     state, names, gained, unconfirmed = _confirmed(state, ordered, quick)
-    unconfirmed = *lost, *unconfirmed
     kept = readings_kept(state.measurement, state.readings)
     # the job of the first round: in that of the last one, effects on its own blocks stand at a fixed size
     fit = extended_fit(first.measurement.job, names, kept) if names else None
@@ -102,7 +101,7 @@ def diagnose(
         outliers=wrong_readings(state),
         findings=tuple(_findings(state, zip(names, gained, shifts, strict=False), noise.ratio)),
         # the last gain is that of all names together
-        left=_left(state, correlated, laws, whole or gained[-1] if names else whole, unconfirmed),
+        left=_left(state, correlated, laws, whole or gained[-1] if names else whole, (*lost, *unconfirmed)),
         before=strongest(first),
         after=strongest(state),
         design=Detectability((), (), ()) if quick else design(state, noise.ratio, stood_for(laws)),
@@ -111,7 +110,7 @@ def diagnose(
         together=gained[-1] if len(names) > 1 else None,
         whole=whole,
         scatters=scattered,
-        unconfirmed=unconfirmed,
+        unconfirmed=(*lost, *unconfirmed),
         laws=laws,
         correlated_errors=correlated,
         limited=limit if job.budget.ended else None,
@@ -125,9 +124,8 @@ def _confirmed(
 ) -> tuple[State, tuple[IdentifiedEffect, ...], list[Gain], tuple[Unconfirmed, ...]]:
     """Return the state without what held-out readings speak against, its effects with their gains, and what it lost.
 
-    The log score of held-out readings and the net evidence of all are both logarithms of odds: an effect stays while
-    their sum is positive. In a quick diagnosis the log score alone has to be. Effects whose sizes may be nothing leave
-    one by one.
+    The log score of held-out readings and the net evidence of all are logarithms of odds: an effect stays while their
+    sum, or in a quick diagnosis the score, is positive. Effects whose sizes may be nothing leave one by one.
     """
     lost: list[Unconfirmed] = []
     while True:
