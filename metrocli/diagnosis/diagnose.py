@@ -24,7 +24,7 @@ from metrocli.diagnosis.evidence.prices import LEVEL
 from metrocli.diagnosis.evidence.scored import remade
 from metrocli.diagnosis.evidence.search import pruned
 from metrocli.diagnosis.evidence.state import State
-from metrocli.diagnosis.explanations import correlated_errors, noise_instead, random_effects, smooth
+from metrocli.diagnosis.explanations import correlated_errors, noise_instead, random_effects, smooth, with_confirmed
 from metrocli.diagnosis.extended_fit import extended_fit, readings_kept, result_changes, sizes
 from metrocli.diagnosis.findings import UNREACHED, Diagnosis, Finding, RemainingStructure, Unconfirmed
 from metrocli.diagnosis.laws.search import Law, stood_for, with_laws
@@ -33,7 +33,7 @@ from metrocli.diagnosis.linear.projection import Linearised
 from metrocli.diagnosis.linear.signatures import signature
 from metrocli.diagnosis.noise import VarianceGroup, noise_of
 from metrocli.diagnosis.power.collinear import separations
-from metrocli.diagnosis.rounds import searched, with_confirmed
+from metrocli.diagnosis.rounds import searched
 from metrocli.diagnosis.wrong_readings import wrong_readings
 from metrocli.effects.correlated import NAME as CORRELATED_ERROR
 from metrocli.progress import SILENT, Progress

@@ -10,6 +10,7 @@ from itertools import pairwise
 import numpy as np
 
 from metrocli.adjust.model.observations import Mask
+from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.correlated_error import CorrelatedError
 from metrocli.diagnosis.evidence.folds import gain_of_parts
 from metrocli.diagnosis.evidence.measurement import LENGTHS
@@ -23,6 +24,7 @@ from metrocli.diagnosis.findings import Instead, RandomEffect, Unconfirmed
 from metrocli.diagnosis.linear.distributions import log_family
 from metrocli.diagnosis.linear.projection import READING
 from metrocli.diagnosis.noise import AS_OTHERS
+from metrocli.diagnosis.rounds import in_rounds
 from metrocli.effects.effect import Effect
 
 _MOST_ROWS = 8
@@ -165,6 +167,19 @@ def _visible(state: State, part: Random) -> float:
     else:
         inside = float((m.system.basis.coordinates(part.columns) ** 2).sum())
     return float(np.sqrt(max(1 - inside / max(whole, 1e-300), 0.0)))
+
+
+def with_confirmed(job: AdjustedJob, state: State, quick: bool = False) -> tuple[State, list[Unconfirmed]]:
+    """Return the state without the effects at all their places that held-out readings do not confirm, and these.
+
+    The search goes on without them: the cause that they stood for may be one that the readings confirm.
+    """
+    lost, gone = list[Unconfirmed](), list[Random]()
+    while against := not_confirmed(state):
+        parts = [part for part, _ in against]
+        lost, gone = [*lost, *(what for _, what in against)], [*gone, *parts]
+        state = in_rounds(job, state.minus(parts), quick, gone)
+    return state, lost
 
 
 def not_confirmed(state: State) -> list[tuple[Random, Unconfirmed]]:

@@ -21,9 +21,7 @@ from metrocli.diagnosis.evidence.refined import refined
 from metrocli.diagnosis.evidence.search import forward, pruned, swapped
 from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.evidence.weights import with_noise
-from metrocli.diagnosis.explanations import not_confirmed
 from metrocli.diagnosis.extended_fit import extended_fit_and_cost, readings_kept, relinearised, with_group_noise
-from metrocli.diagnosis.findings import Unconfirmed
 from metrocli.errors import UndeterminedError
 from metrocli.frozen import dataclass
 
@@ -209,23 +207,10 @@ def searched(job: AdjustedJob, quick: bool = False) -> tuple[State, State]:
             "measure more; `metrocli diagnose --design` shows what a measurement can detect"
         )
     first = State.of(m)
-    return first, _in_rounds(job, first, quick)
+    return first, in_rounds(job, first, quick)
 
 
-def with_confirmed(job: AdjustedJob, state: State, quick: bool = False) -> tuple[State, list[Unconfirmed]]:
-    """Return the state without the effects at all their places that held-out readings do not confirm, and these.
-
-    The search goes on without them: the cause that they stood for may be one that the readings confirm.
-    """
-    lost, gone = list[Unconfirmed](), list[Random]()
-    while against := not_confirmed(state):
-        parts = [part for part, _ in against]
-        lost, gone = [*lost, *(what for _, what in against)], [*gone, *parts]
-        state = _in_rounds(job, state.minus(parts), quick, gone)
-    return state, lost
-
-
-def _in_rounds(job: AdjustedJob, begin: State, quick: bool, without: Sequence[Random] = ()) -> State:
+def in_rounds(job: AdjustedJob, begin: State, quick: bool, without: Sequence[Random] = ()) -> State:
     """Return the state of the search that goes on from one, about the solution with its dominant effects."""
     m, state, alone = begin.measurement, begin, _is_alone(job, quick)
     since, least = begin.score, _MOST_OF_IT if quick else 0.0

@@ -14,8 +14,7 @@ from metrocli.diagnosis.evidence.moves import Move
 from metrocli.diagnosis.evidence.parts import CORRELATED, SCATTER
 from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.evidence.variances import Found, scattered_effects
-from metrocli.diagnosis.explanations import not_confirmed
-from metrocli.diagnosis.rounds import with_confirmed
+from metrocli.diagnosis.explanations import not_confirmed, with_confirmed
 
 
 @pytest.mark.parametrize("seed", [0, 3, 6])
