@@ -73,6 +73,7 @@ def diagnose(
     progress.doing("looking for structure", job.budget.left())
     with attended(job.budget.interrupt):
         first, state = searched(job, quick)
+        state, lost = with_confirmed(job, state, quick)
         job = state.measurement.job
         laws: tuple[Law, ...] = ()
         if not quick:
@@ -100,7 +101,7 @@ def diagnose(
         outliers=wrong_readings(state),
         findings=tuple(_findings(state, zip(names, gained, shifts, strict=False), noise.ratio)),
         # the last gain is that of all names together
-        left=_left(state, correlated, laws, whole or gained[-1] if names else whole, unconfirmed),
+        left=_left(state, correlated, laws, whole or gained[-1] if names else whole, (*lost, *unconfirmed)),
         before=strongest(first),
         after=strongest(state),
         design=Detectability((), (), ()) if quick else design(state, noise.ratio, stood_for(laws)),
@@ -109,7 +110,7 @@ def diagnose(
         together=gained[-1] if len(names) > 1 else None,
         whole=whole,
         scatters=scattered,
-        unconfirmed=unconfirmed,
+        unconfirmed=(*lost, *unconfirmed),
         laws=laws,
         correlated_errors=correlated,
         limited=limit if job.budget.ended else None,
@@ -123,11 +124,10 @@ def _confirmed(
 ) -> tuple[State, tuple[IdentifiedEffect, ...], list[Gain], tuple[Unconfirmed, ...]]:
     """Return the state without what held-out readings speak against, its effects with their gains, and what it lost.
 
-    The log score of held-out readings and the net evidence of all are both logarithms of odds: an effect stays while
-    their sum is positive. In a quick diagnosis the log score alone has to be. Effects whose sizes may be nothing leave
-    one by one.
+    The log score of held-out readings and the net evidence of all are logarithms of odds: an effect stays while their
+    sum, or in a quick diagnosis the score, is positive. Effects whose sizes may be nothing leave one by one.
     """
-    state, lost = with_confirmed(state)
+    lost: list[Unconfirmed] = []
     while True:
         names = all_identified(state) if quick else with_jackknife(state, all_identified(state))
         gained = gains(state, names, ordered, nested=not quick) if names else []

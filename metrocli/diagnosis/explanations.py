@@ -10,6 +10,7 @@ from itertools import pairwise
 import numpy as np
 
 from metrocli.adjust.model.observations import Mask
+from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.correlated_error import CorrelatedError
 from metrocli.diagnosis.evidence.folds import gain_of_parts
 from metrocli.diagnosis.evidence.measurement import LENGTHS
@@ -23,6 +24,7 @@ from metrocli.diagnosis.findings import Instead, RandomEffect, Unconfirmed
 from metrocli.diagnosis.linear.distributions import log_family
 from metrocli.diagnosis.linear.projection import READING
 from metrocli.diagnosis.noise import AS_OTHERS
+from metrocli.diagnosis.rounds import in_rounds
 from metrocli.effects.effect import Effect
 
 _MOST_ROWS = 8
@@ -167,18 +169,30 @@ def _visible(state: State, part: Random) -> float:
     return float(np.sqrt(max(1 - inside / max(whole, 1e-300), 0.0)))
 
 
-def with_confirmed(state: State) -> tuple[State, list[Unconfirmed]]:
+def with_confirmed(job: AdjustedJob, state: State, quick: bool = False) -> tuple[State, list[Unconfirmed]]:
     """Return the state without the effects at all their places that held-out readings do not confirm, and these.
+
+    The search goes on without them: the cause that they stood for may be one that the readings confirm.
+    """
+    lost, gone = list[Unconfirmed](), list[Random]()
+    while against := not_confirmed(state):
+        parts = [part for part, _ in against]
+        lost, gone = [*lost, *(what for _, what in against)], [*gone, *parts]
+        state = in_rounds(job, state.minus(parts), quick, gone)
+    return state, lost
+
+
+def not_confirmed(state: State) -> list[tuple[Random, Unconfirmed]]:
+    """Return the effects at all their places that held-out readings do not confirm.
 
     A smooth one fits whatever readings share, so that its gain has to be shown.
     """
-    lost: list[Unconfirmed] = []
+    lost: list[tuple[Random, Unconfirmed]] = []
     for part in (part for part in state.random if part.kind == SCATTER):
         gain, effect = gain_of_parts(state, [part]), _effect_of(state, part)
         if not (gain.shown if effect.is_smooth else gain.log_score > 0):
-            lost.append(Unconfirmed(f"{effect.name} {effect.everywhere}", gain.log_score))
-            state = state.minus([part])
-    return state, lost
+            lost.append((part, Unconfirmed(f"{effect.name} {effect.everywhere}", gain.log_score)))
+    return lost
 
 
 def _effect_of(state: State, part: Random) -> Effect:

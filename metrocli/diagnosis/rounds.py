@@ -16,7 +16,7 @@ from metrocli.diagnosis.evidence.identified import IdentifiedEffect, all_identif
 from metrocli.diagnosis.evidence.measured_job import measurement_of
 from metrocli.diagnosis.evidence.measurement import Measurement
 from metrocli.diagnosis.evidence.moves import effects
-from metrocli.diagnosis.evidence.parts import LARGEST, Fixed
+from metrocli.diagnosis.evidence.parts import LARGEST, Fixed, Random
 from metrocli.diagnosis.evidence.refined import refined
 from metrocli.diagnosis.evidence.search import forward, pruned, swapped
 from metrocli.diagnosis.evidence.state import State
@@ -200,15 +200,20 @@ def searched(job: AdjustedJob, quick: bool = False) -> tuple[State, State]:
     A quick search looks for no correlated errors and no smooth effects.
     Raises UndeterminedError if no reading is redundant.
     """
-    alone = quick and job.noise_model != STRUCTURED  # a job that declares correlated errors has them
-    m = measurement_of(job, quick=alone)
+    m = measurement_of(job, quick=_is_alone(job, quick))
     if m.system.dof < 1:
         raise UndeterminedError(
             "the job has no redundant reading, so no reading can contradict its model\n"
             "measure more; `metrocli diagnose --design` shows what a measurement can detect"
         )
-    first = state = begin = State.of(m)
-    since, least = first.score, _MOST_OF_IT if quick else 0.0
+    first = State.of(m)
+    return first, in_rounds(job, first, quick)
+
+
+def in_rounds(job: AdjustedJob, begin: State, quick: bool, without: Sequence[Random] = ()) -> State:
+    """Return the state of the search that goes on from one, about the solution with its dominant effects."""
+    m, state, alone = begin.measurement, begin, _is_alone(job, quick)
+    since, least = begin.score, _MOST_OF_IT if quick else 0.0
     # None once the job cannot be adjusted without what is gross
     known: Gross | None = Gross({}, {})
 
@@ -217,7 +222,7 @@ def searched(job: AdjustedJob, quick: bool = False) -> tuple[State, State]:
 
     for left in reversed(range(_ROUNDS)):
         # in the last round nothing stops the search: what dominates then is named about the solution that there is
-        state = forward(begin, stop=ends_it if left else None, least=least, since=since)
+        state = forward(begin, stop=ends_it if left else None, least=least, since=since, without=without)
         # not adjusted with effects whose sizes may be nothing: all else would be linearised about these sizes
         state = state if quick else surely(state)
         gross = None if known is None else known.beside(state)
@@ -231,7 +236,7 @@ def searched(job: AdjustedJob, quick: bool = False) -> tuple[State, State]:
             continue
         if not fits:
             # the job cannot be adjusted with them: then the search goes on beside their first order
-            state = forward(state, least=least, since=since)
+            state = forward(state, least=least, since=since, without=without)
             break
         begun = [_continued(fit.state, measurement_of(fit.relinearised(job), None, m, alone)) for fit in fits]
         # the adjustments do not know correlated errors and random effects, the states do
@@ -241,4 +246,9 @@ def searched(job: AdjustedJob, quick: bool = False) -> tuple[State, State]:
         begin = State.of(m)
         since = begin.score
         begin = begin if gross or is_overwhelmed(state) else continued
-    return first, pruned(refined(state if quick else swapped(state)))
+    return pruned(refined(state if quick else swapped(state, without)))
+
+
+def _is_alone(job: AdjustedJob, quick: bool) -> bool:
+    """Return whether a search looks for effects alone: a job that declares correlated errors has them."""
+    return quick and job.noise_model != STRUCTURED

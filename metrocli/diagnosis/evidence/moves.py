@@ -78,9 +78,11 @@ class Move:
 
     def is_like(self, part: Fixed | Random) -> bool:
         """Return whether a part enters, or a correlated error over the same covariate of another length."""
-        if isinstance(part, Random) and part.kind == CORRELATED and self.entering is not None:
-            return self.entering.kind == CORRELATED and self.entering.key[0] == part.key[0]
-        return part.key in self.keys
+        if not isinstance(part, Random):
+            return part.key in self.keys
+        if self.entering is None or self.entering.kind != part.kind:
+            return False
+        return self.entering.key[0] == part.key[0] if part.kind == CORRELATED else self.entering.key == part.key
 
     def tried(self, state: State) -> tuple[float, Callable[[], State]]:
         """Return the score of the state after the move, and what makes that state.

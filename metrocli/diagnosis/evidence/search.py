@@ -62,21 +62,21 @@ def forward(
     state: State,
     most: int = _MOST,
     stop: Callable[[State], bool] | None = None,
-    without: Fixed | Random | None = None,
+    without: Sequence[Fixed | Random] = (),
     least: float = 0.0,
     since: float | None = None,
 ) -> State:
     """Return the state after the moves that raise its score, each the best of those tried, until none does.
 
     `least` is the share of all that was gained by which a move must raise it, counted from a score on, `since`, which
-    is that of the state itself unless it is given.
+    is that of the state itself unless it is given. Nothing like the parts `without` enters.
     """
     quiet: set[int] = set()
     begin = state.score if since is None else since
     for _ in range(most):
         if state.measurement.job.budget.spent():
             break
-        best = _best(state, [move for move in moves(state, quiet) if without is None or not move.is_like(without)])
+        best = _best(state, [move for move in moves(state, quiet) if not any(map(move.is_like, without))])
         if best is None or best.score <= state.score + max(_GAINED, least * (state.score - begin)):
             whole = without_weak_noise(without_weak_random(state))
             if whole is state or whole.score <= state.score + _GAINED:
@@ -170,7 +170,7 @@ def without_weak_noise(state: State) -> State:
     return state
 
 
-def swapped(state: State) -> State:
+def swapped(state: State, without: Sequence[Fixed | Random] = ()) -> State:
     """Return the best state after each random part, and each name, was left out in turn and the search went on without.
 
     A correlated error of each unit can stand for one cause at one unit, and enters before it.
@@ -186,13 +186,13 @@ def swapped(state: State) -> State:
             # what could enter instead has to promise half of what goes: a search for less is not worth its time
             if own > _CERTAIN or _others_in_turn(less, part) < own / 2:
                 continue
-            other = forward(less, 3, without=part)
+            other = forward(less, 3, without=[part, *without])
             if other.score > state.score + _margin(state, other, part):
                 better = other
                 break
         if better is None:
             return state
-        state = forward(better)
+        state = forward(better, without=without)
     return state
 
 
