@@ -24,7 +24,7 @@ from metrocli.diagnosis.findings import Instead, RandomEffect, Unconfirmed
 from metrocli.diagnosis.linear.distributions import log_family
 from metrocli.diagnosis.linear.projection import READING
 from metrocli.diagnosis.noise import AS_OTHERS
-from metrocli.diagnosis.rounds import in_rounds
+from metrocli.diagnosis.rounds import searched_from
 from metrocli.effects.effect import Effect
 
 _MOST_ROWS = 8
@@ -178,7 +178,7 @@ def with_confirmed(job: AdjustedJob, state: State, quick: bool = False) -> tuple
     while against := not_confirmed(state):
         parts = [part for part, _ in against]
         lost, gone = [*lost, *(what for _, what in against)], [*gone, *parts]
-        state = in_rounds(job, state.minus(parts), quick, gone)
+        state = searched_from(job, state.minus(parts), quick, gone)
     return state, lost
 
 

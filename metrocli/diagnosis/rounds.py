@@ -207,10 +207,10 @@ def searched(job: AdjustedJob, quick: bool = False) -> tuple[State, State]:
             "measure more; `metrocli diagnose --design` shows what a measurement can detect"
         )
     first = State.of(m)
-    return first, in_rounds(job, first, quick)
+    return first, searched_from(job, first, quick)
 
 
-def in_rounds(job: AdjustedJob, begin: State, quick: bool, without: Sequence[Random] = ()) -> State:
+def searched_from(job: AdjustedJob, begin: State, quick: bool, without: Sequence[Random] = ()) -> State:
     """Return the state of the search that goes on from one, about the solution with its dominant effects."""
     m, state, alone = begin.measurement, begin, _is_alone(job, quick)
     since, least = begin.score, _MOST_OF_IT if quick else 0.0
