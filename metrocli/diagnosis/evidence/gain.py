@@ -50,7 +50,7 @@ PREDICTED = 100.0
 
 
 @dataclass(frozen=True)
-class Held:
+class FoldPrediction:
     """Prediction of one fold, each reading in its standard deviation."""
 
     score: float
@@ -63,7 +63,7 @@ class Held:
     variances: Array
     """Of the predictions with the noise of the readings, (n,)"""
 
-    def mixed(self, other: Held, weight: float) -> Held:
+    def mixed(self, other: FoldPrediction, weight: float) -> FoldPrediction:
         """Return the mean of two predictions of a fold, of which the other one has a probability."""
         if weight >= 1:
             return other
@@ -72,10 +72,10 @@ class Held:
         errors = own * self.errors + weight * other.errors
         apart = own * weight * (other.errors - self.errors) ** 2
         variances = own * self.variances + weight * other.variances + apart
-        return Held(score, errors, self.scale, self.shares, variances)
+        return FoldPrediction(score, errors, self.scale, self.shares, variances)
 
 
-def gain_of(pairs: Sequence[tuple[Held, Held]]) -> Gain:
+def gain_of(pairs: Sequence[tuple[FoldPrediction, FoldPrediction]]) -> Gain:
     """Return the gain from the predictions of all folds without and with what is judged."""
     differences = np.array([after.score - before.score for before, after in pairs])
     # a single fold shows no scatter: its gain is never called certain

@@ -20,10 +20,10 @@ from metrocli.diagnosis.linear.basis import Columns
 
 def without_local(m: Measurement, key: object, columns: Array) -> Array:
     """Return columns (rows, k) without what local unknowns absorb, computed once for each key."""
-    if key not in m.held:
+    if key not in m.cache:
         basis = m.system.basis.of_members
-        m.held[key] = columns - basis.combined(basis.coordinates(columns)) if basis.members else columns
-    return m.held[key]
+        m.cache[key] = columns - basis.combined(basis.coordinates(columns)) if basis.members else columns
+    return m.cache[key]
 
 
 def shared_parts(
@@ -45,7 +45,7 @@ def shared_parts(
 
 def _without_unknowns(m: Measurement, parts: Sequence[tuple[object, Array]]) -> list[Array]:
     """Return the columns of parts without what the unknowns absorb, computed once for each key."""
-    new = [(key, columns) for key, columns in parts if ("M", key) not in m.held]
+    new = [(key, columns) for key, columns in parts if ("M", key) not in m.cache]
     if new:
         left, shared = (
             np.concatenate([without_local(m, key, columns) for key, columns in new], axis=1),
@@ -54,8 +54,8 @@ def _without_unknowns(m: Measurement, parts: Sequence[tuple[object, Array]]) -> 
         left -= shared @ (shared.T @ left)
         ends = np.cumsum([columns.shape[1] for _, columns in new])[:-1]
         for (key, _), own in zip(new, np.split(left, ends, axis=1), strict=True):
-            m.held["M", key] = own
-    return [m.held["M", key] for key, _ in parts]
+            m.cache["M", key] = own
+    return [m.cache["M", key] for key, _ in parts]
 
 
 def shared_columns(
@@ -108,7 +108,7 @@ def products_of(
     mixed = np.zeros((members, 0, len(right) + 1))
     if local:
         own, mixed = (
-            np.concatenate([products_of_members(m, random, other, m.held) for other in others], axis=2)
+            np.concatenate([products_of_members(m, random, other, m.cache) for other in others], axis=2)
             for others in (local, [*shared, ("residual", m.system.residual[:, None])])
         )
     return Products(
@@ -126,7 +126,7 @@ def products_of(
 
 
 def products_of_members(
-    m: Measurement, random: Sequence[Random], other: tuple[object, Columns], held: dict[object, Array]
+    m: Measurement, random: Sequence[Random], other: tuple[object, Columns], cache: dict[object, Array]
 ) -> Array:
     """Return the products of the errors of each member with columns (rows, p) of a name, (members, k, p).
 
@@ -135,9 +135,9 @@ def products_of_members(
     products = list[Array]()
     for key, columns in _local_parts(m, random):
         at = "of members", key, other[0]
-        if at not in held:
-            held[at] = _by_members(m, columns, other[1])
-        products.append(held[at])
+        if at not in cache:
+            cache[at] = _by_members(m, columns, other[1])
+        products.append(cache[at])
     return np.concatenate(products, axis=1)
 
 
@@ -181,6 +181,6 @@ def _gram(m: Measurement, shared: Sequence[tuple[object, Array]], known: Product
 def _product(m: Measurement, first: tuple[object, Array], other: tuple[object, Array]) -> Array:
     """Return the product of the columns of two parts, computed once."""
     key = "product", first[0], other[0]
-    if key not in m.held:
-        m.held[key] = first[1].T @ other[1]
-    return m.held[key]
+    if key not in m.cache:
+        m.cache[key] = first[1].T @ other[1]
+    return m.cache[key]
