@@ -178,7 +178,7 @@ class Others:
             shares, variances = 1 - (basis.local[rows] ** 2).sum(axis=1), np.ones(len(rows))
         else:
             errors, shares, variances = self.without.predicted(self.fit, self.columns)
-        scale, kept = np.where(m.system.alike, m.system.scale, np.nan)[rows], ~spared[rows]
+        scale, kept = np.where(m.system.in_reported_unit, m.system.scale, np.nan)[rows], ~spared[rows]
         score = _log_marginal(self.whole, ranks) - others
         return FoldPrediction(score, errors[kept], scale[kept], shares[kept], variances[kept])
 

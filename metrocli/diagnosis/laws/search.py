@@ -234,7 +234,7 @@ def _law(lawful: Lawful, base: State, gain: Gain, instead: State) -> Law:
     stds = np.sqrt(np.maximum(np.diag(inverse), 0.0) * state.variance) / scale
     cuts = np.cumsum([len(term.form.factors) for term in terms])[:-1]
     acting = whole.any(axis=1)
-    shown = np.where(acting & system.alike, (base.residual - state.residual) * system.scale, 0.0)
+    shown = np.where(acting & system.in_reported_unit, (base.residual - state.residual) * system.scale, 0.0)
     # the smaller of both variances: the share is of what is above the noise, and structure left over is no noise
     noise = min(state.variance, instead.variance) * base.freedoms
     part = (base.fit.squares - state.fit.squares) / max(base.fit.squares - noise, 1e-300)
