@@ -94,7 +94,7 @@ class Result:
         return K * estimate.std, K
 
     def degrees_of_freedom(self, name: str = "") -> float:
-        """Return the fewest degrees of freedom of an estimate, or of all without a name; inf where noise is declared."""
+        """Return the fewest degrees of freedom of an estimate, or of all; inf where noise is declared."""
         stated = [details.get("dof") for key, details in self.details.items() if name in ("", key)]
         known = [float(dof) for dof in stated if isinstance(dof, int | float) and math.isfinite(dof)]
         dof = self.statistics.get("dof")
