@@ -14,7 +14,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from metrocli.cli.diagnosis_report.loop import of_loop
+from metrocli.cli.diagnosis_report.loop import loop_text
 from metrocli.project.job import JobOptions, load
 from metrocli.project.until_clean import until_clean
 
@@ -57,7 +57,7 @@ def main(wanted: list[str]) -> int:
             job = Path(folder) / f"{name}.yaml"
             job.write_text(JOBS[name])
             loop = until_clean(load(job, JobOptions(accept_doubtful=True)))
-            table = of_loop(loop).replace(f"{folder}/", "")
+            table = loop_text(loop).replace(f"{folder}/", "")
         print(f"-- {name}, {time.process_time() - before:.0f} s of CPU time\n{table}\n", flush=True)
     return 0
 

@@ -49,7 +49,7 @@ class ShownTable:
             name, _, symbol = heading.removesuffix("]").partition(" [")
             if name in table:
                 columns[name] = table.columns[name]
-                if symbol:
+                if symbol:  # only angles are shown in another unit than that of the table
                     columns[name] = table.numbers(name) / find_unit(symbol, "angle").inside(1.0)
                     shown[name] = symbol
         return replace(table, columns=columns, units=shown)
@@ -94,7 +94,7 @@ class Result:
         return K * estimate.std, K
 
     def degrees_of_freedom(self, name: str = "") -> float:
-        """Return those of an estimate or, without a name, the fewest; inf where the noise is declared."""
+        """Return the fewest degrees of freedom of an estimate, or of all; inf where noise is declared."""
         stated = [details.get("dof") for key, details in self.details.items() if name in ("", key)]
         known = [float(dof) for dof in stated if isinstance(dof, int | float) and math.isfinite(dof)]
         dof = self.statistics.get("dof")

@@ -6,7 +6,7 @@ with `S = N_gg - N_gl D^-1 N_lg`; eliminating l and g leaves a small dense matri
 takes nearly all the time.
 
 The normal matrix is computed once, at a stated design; the gradient is exact, so the iteration ends at the minimum
-under the conditions of the datum. What the design leaves undetermined is found first, and only the conditions fix it.
+under the conditions of the datum. What the design leaves undetermined is computed first; the conditions alone fix it.
 Method: docs/algorithms/nested-dissection.md and docs/algorithms/free-networks.md.
 """
 
@@ -28,8 +28,10 @@ from metrocli.adjust.sparse.partition import Partition, gradient, jacobian, part
 from metrocli.arrays import Array, Index
 from metrocli.frozen import dataclass
 
-_LIMIT = 60
+_MOST_STEPS = 60
+_MOST_HALVINGS = 12
 _ROUNDING = 1e-13
+"""Predicted fall of the sum of squares that is rounding, relative to it"""
 
 
 @dataclass(frozen=True)
@@ -67,36 +69,37 @@ class FieldDesign:
     @cached_property
     def _gauge(self) -> tuple[Array, Array]:
         """`P = Q H'` and `H P`, with Q the inverse before the datum is applied."""
-        shared = self.reduction.solve(self.constraint.T)
-        return shared, self.constraint @ shared
+        p = self.reduction.solve(self.constraint.T)
+        return p, self.constraint @ p
 
     def solve(self, right: Array) -> Array:
         """Return the covariance times `right`, `(I - Z H) Q (I - Z H)' right`, (unknowns,) or (unknowns, k)."""
-        held = right - self.constraint.T @ (self.null.T @ right)
-        solved = self.reduction.solve(held)
+        solved = self.reduction.solve(right - self.constraint.T @ (self.null.T @ right))
         return solved - self.null @ (self.constraint @ solved)
 
     def variances(self, rows: Sparse) -> Array:
-        """Return the variances of sparse linear combinations of unknowns, (n,).
+        """Return the variances of sparse linear combinations R of unknowns, (n,).
 
-        Each may only combine unknowns that a reading couples, because only these entries of the inverse are known.
+        `diag(R (I - Z H) Q (I - Z H)' R') = diag(R Q R' - 2 R Z (R P)' + R Z H P (R Z)')`. Each row of R may only
+        combine unknowns that a reading couples, because only these entries of Q are known.
         """
-        moved, shared, own = self._in_datum(rows)
+        by_null, by_gauge, gauge = self._in_datum(rows)
         variances = self.reduction.variances(rows)
-        variances -= 2 * np.einsum("nk,nk->n", moved, shared)
-        variances += np.einsum("nk,kl,nl->n", moved, own, moved)
+        variances -= 2 * np.einsum("nk,nk->n", by_null, by_gauge)
+        variances += np.einsum("nk,kl,nl->n", by_null, gauge, by_null)
+        # rounding of the difference must not make a variance negative
         return np.maximum(variances, 0.0)
 
     def covariance(self, rows: Sparse) -> Array:
         """Return the covariance of any linear combinations of unknowns, (n, n), with forward solutions only."""
-        moved, shared, own = self._in_datum(rows)
-        across = moved @ shared.T
-        return self.reduction.covariance(rows) - across - across.T + moved @ own @ moved.T
+        by_null, by_gauge, gauge = self._in_datum(rows)
+        cross = by_null @ by_gauge.T
+        return self.reduction.covariance(rows) - cross - cross.T + by_null @ gauge @ by_null.T
 
     def _in_datum(self, rows: Sparse) -> tuple[Array, Array, Array]:
         """Return R Z, R P and H P: what the datum's part of the covariance of rows R consists of."""
-        shared, own = self._gauge
-        return np.asarray(rows @ self.null), np.asarray(rows @ shared), own
+        p, gauge = self._gauge
+        return np.asarray(rows @ self.null), np.asarray(rows @ p), gauge
 
     def std(self, block: str) -> Array:
         """Return the standard uncertainties of a block, (members, size), nan for fixed entries."""
@@ -208,7 +211,7 @@ def adjust_fields(fields: Fields, design: FieldDesign | None = None) -> FieldSol
     outcome, iterations = Outcome.ITERATION_LIMIT, 0
     # square of 1e-6 standard deviations for each unknown, as the tolerance of `StoppingRule`
     small = 1e-12 * design.partition.width
-    while iterations < _LIMIT:
+    while iterations < _MOST_STEPS:
         iterations += 1
         downhill = gradient(linears, design.partition)
         step = design.solve(downhill)
@@ -217,8 +220,7 @@ def adjust_fields(fields: Fields, design: FieldDesign | None = None) -> FieldSol
         fall = float(downhill @ step)
         trial = _tried(fields, state, (step - restoring, design), cost)
         if trial is None:
-            # at the minimum no step lowers the sum, and what it predicts is
-            # rounding; a fall that is larger was not found
+            # at the minimum no step lowers the sum, and the predicted fall is rounding; a larger one was not reached
             outcome = Outcome.CONVERGED if fall <= 1e-6 * design.partition.width else Outcome.DIVERGED
             break
         state, linears, cost = trial
@@ -235,9 +237,9 @@ def adjust_fields(fields: Fields, design: FieldDesign | None = None) -> FieldSol
 def _tried(
     fields: Fields, state: Mapping[str, Block], move: tuple[Array, FieldDesign], cost: float
 ) -> tuple[dict[str, Block], list[LinearGroup], float] | None:
-    """Return the state after the step, or after a part of it that does not raise the cost; None if none is found."""
+    """Return the state after the step, or after a part of it that does not raise the cost; None if each part does."""
     step, design = move
-    for _ in range(12):
+    for _ in range(_MOST_HALVINGS):
         moved = design.partition.moved(state, step)
         linears = _linears(fields, moved)
         total = sum(linear.cost for linear in linears)
@@ -278,10 +280,10 @@ def _constraint(conditions: Array, null: Array) -> Array:
     """
     if not null.shape[1]:
         return np.zeros((0, len(null)))
-    seen = conditions @ null
-    _, sizes, mix = np.linalg.svd(seen)
-    # what the conditions do not see of the open directions, which the least sum of squares has to fix
+    by_conditions = conditions @ null
+    _, sizes, mix = np.linalg.svd(by_conditions)
+    # combinations of the open directions that meet all conditions, which the least sum of squares has to fix
     free = mix[int((sizes > 1e-7 * max(sizes.max(initial=0.0), 1e-300)).sum()) :]
-    inverse = np.linalg.pinv(np.concatenate([seen, free @ (null.T @ null)]))
+    inverse = np.linalg.pinv(np.concatenate([by_conditions, free @ (null.T @ null)]))
     count = len(conditions)
     return np.asarray(inverse[:, :count] @ conditions + inverse[:, count:] @ free @ null.T)

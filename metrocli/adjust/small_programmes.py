@@ -53,24 +53,24 @@ def quadratic(hessian: Array, gradient: Array, rows: Array, bounds: Array) -> Op
     return Optimum(factor.T @ (y * scale - centre), duals * scale)
 
 
-def highest(rows: Array, values: Array, reach: float) -> tuple[Optimum, float]:
-    """Return the x within `|x_i| <= reach` for which the least of `values + rows x` is largest, and that least value.
+def highest(rows: Array, values: Array, radius: float) -> tuple[Optimum, float]:
+    """Return the x within `|x_i| <= radius` for which the least of `values + rows x` is largest, and that least value.
 
-    The duals sum to 1 unless the reach holds the solution: the least value cannot grow, because the rows weighted by
+    The duals sum to 1 unless the radius holds the solution: the least value cannot grow, because the rows weighted by
     them add up to zero.
     """
     from scipy.optimize import linprog
 
     size = rows.shape[1]
     cost = np.append(np.zeros(size), -1.0)
-    limits = [(-reach, reach)] * size + [(None, None)]
+    limits = [(-radius, radius)] * size + [(None, None)]
 
     def solve(chosen: Index) -> tuple[Array, Array] | None:
         against = np.column_stack([-rows[chosen], np.ones(len(chosen))])
         solved = linprog(cost, against, values[chosen], bounds=limits, method="highs")
         return (solved.x, -solved.ineqlin.marginals) if solved.status == 0 else None
 
-    # with too few rows at the start the programme is bounded by `reach` alone, and its first x is far off
+    # with too few rows at the start the programme is bounded by `radius` alone, and its first x is far off
     start = smallest(values, 2 * _ADDED)
     optimum = _growing(solve, lambda x: values + rows @ x[:-1] - x[-1], values, start)
     if optimum is None:

@@ -173,7 +173,7 @@ def _keep(job: JobFile, data: dict[str, Any], force: bool, console: Console) -> 
 
 def _loop(job: JobFile, flags: dict[str, Any], force: bool, as_json: bool) -> int:
     """Print the steps of the loop until a job is clean."""
-    from metrocli.cli.diagnosis_report.loop import loop_data, of_loop
+    from metrocli.cli.diagnosis_report.loop import loop_data, loop_text
     from metrocli.project.diagnosed import carry_out
     from metrocli.project.job import JobOptions, load
     from metrocli.project.own_effects import alike_for
@@ -187,7 +187,7 @@ def _loop(job: JobFile, flags: dict[str, Any], force: bool, as_json: bool) -> in
         loop = until_clean(job, once, flags["most"], console, force)
     if as_json:
         echo_json(loop_data(loop))
-    console.print(of_loop(loop))
+    console.print(loop_text(loop))
     if not as_json:
         steps = [extension.job for extension in loop.extensions]
         _keep(job, _data(job, loop.first, steps[0] if steps else None), force, console)

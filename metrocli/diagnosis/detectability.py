@@ -216,10 +216,10 @@ def _candidate(state: State, family: int, chosen: Sequence[int], noise: float) -
 
 def _nets(state: State, family: int) -> Array:
     """Return the net gain of each alternative of a family beside a state, computed once."""
-    if ("nets", family) not in state.held:
+    if ("nets", family) not in state.cache:
         gain, price, _ = state.gains_of_family(family)
-        state.held["nets", family] = np.where(gain > 0, gain - price, -np.inf)
-    return np.asarray(state.held["nets", family])
+        state.cache["nets", family] = np.where(gain > 0, gain - price, -np.inf)
+    return np.asarray(state.cache["nets", family])
 
 
 def _upper(state: State, family: int, number: int) -> float:

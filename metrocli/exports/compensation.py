@@ -45,7 +45,7 @@ class CompensationFormat:
     """Returns the movement by the compensation at commanded positions, (n, 3) mm, or (n, 6) mm and deg"""
     resolution: float
     """Largest rounding of a written error, mm or deg"""
-    coarsened: Callable[[Any], float] = lambda held: 1.0
+    coarseness: Callable[[Any], float] = lambda stored: 1.0
     """Returns the factor by which the stored tables are coarser than `resolution`"""
     carried: Callable[[ErrorTables], ErrorTables] = lambda tables: tables
     """Returns the part of the errors that the format can hold"""
@@ -65,28 +65,29 @@ class CompensationFormat:
         """
         carried = self.carried(tables)
         texts = self.written(carried)
-        left, promised = self.left(carried, texts), self.promised(texts)
-        if left > promised:
+        remaining, bound = self.remaining_error(carried, texts), self.rounding_bound(texts)
+        if remaining > bound:
             raise AssertionError(
-                f"the compensation leaves {left:.2g} mm of error, but may leave only {promised:.2g} mm"
+                f"the compensation leaves {remaining:.2g} mm of error, but may leave only {bound:.2g} mm"
             )
         return texts
 
-    def promised(self, texts: Texts) -> float:
+    def rounding_bound(self, texts: Texts) -> float:
         """Return the largest error (mm) that the rounding in the files may leave."""
-        return self.resolution * self.coarsened(self.read(texts))
+        return self.resolution * self.coarseness(self.read(texts))
 
-    def left(self, carried: ErrorTables, texts: Texts) -> float:
+    def remaining_error(self, carried: ErrorTables, texts: Texts) -> float:
         """Return the largest error (mm) that remains when the control applies the files."""
         places = places_of(carried)
         return float(np.abs(carried.at(places) + self.moved(self.read(texts), places)).max())
 
 
 def places_of(tables: ErrorTables) -> Array:
-    """Return positions (n, 3) mm, or (n, 6) mm and deg, at, between and beside the knots of all axes."""
+    """Return positions (n, 3) mm, or (n, 6) mm and deg: a lattice over the travel, and each axis at its knots."""
     per_axis = []
     for axis in AXES:
         ends = tables.span(axis)
+        # 0.137 and 0.781 of the travel are knots of no usual table: interpolation is tested there, too
         per_axis.append(ends[0] + (ends[1] - ends[0]) * np.array([0.0, 0.137, 0.25, 0.5, 0.781, 1.0]))
     lattice = np.array(list(itertools.product(*per_axis)))
     axes = LETTERS if any(name[2] not in AXES for name in tables.curves) else AXES
@@ -110,21 +111,21 @@ def positioning(tables: ErrorTables) -> ErrorTables:
 
 
 def positioning_of(result: Result) -> ErrorTables:
-    """Return the determined positioning errors of all axes of a machine with rotary axes, those of these in degrees.
+    """Return the determined positioning errors of all axes of a machine with rotary axes, of the latter in degrees.
 
-    They are actual minus commanded in the count of the axis: the table, which is right-handed, times its `sense`. What
-    is known only together with other errors is left out.
+    They are actual minus commanded in the count of the axis: the table, which is right-handed, times its `sense`, 1 or
+    -1. What is known only together with other errors is left out, since it holds for one tool alone.
     """
     tables, rows = of(result), result.tables["rotary_axes"]
-    open_ones = {*tables.left_out, *tables.together}
-    linear = {name: tables.curves[name] for name in POSITIONING if name in tables.curves and name not in open_ones}
+    undetermined = {*tables.left_out, *tables.together}
+    linear = {name: tables.curves[name] for name in POSITIONING if name in tables.curves and name not in undetermined}
     turning, widths, periodic = dict[str, ErrorTable](), reversal_of(result), ""
     for row, letter in enumerate(rows.texts("axis")):
         name, sense = f"E{letter}{letter}", float(rows.numbers("sense")[row])
-        held = result.tables.get(f"tables/{name}")
-        if held is None or name in open_ones:
+        table = result.tables.get(f"tables/{name}")
+        if table is None or name in undetermined:
             continue
-        position, value, std = (np.degrees(held.numbers(key)) for key in ("position", "value", "std"))
+        position, value, std = (np.degrees(table.numbers(key)) for key in ("position", "value", "std"))
         curve = ErrorTable(position, sense * value, std)
         if bool(rows.columns["periodic"][row]):
             curve, periodic = _one_turn(curve), periodic + letter
@@ -142,8 +143,9 @@ def has_positioning(result: Result) -> bool:
 
 
 def _one_turn(curve: ErrorTable) -> ErrorTable:
-    """Return the curve of a periodic axis from 0 to 360 deg."""
+    """Return the curve of a periodic axis from 0 to 360 deg, where a control wants it to begin and to end."""
     inside = np.mod(curve.positions, TURN)
+    # rounded, so that 360 deg less rounding is no second knot beside 360
     grid = np.unique(np.concatenate([[0.0, TURN], inside]).round(9))
     order = np.argsort(inside)
     values, std = (
@@ -153,7 +155,7 @@ def _one_turn(curve: ErrorTable) -> ErrorTable:
     return ErrorTable(grid, values, std)
 
 
-def test_move(axis: str, curve: ErrorTable) -> str:
+def sign_test(axis: str, curve: ErrorTable) -> str:
     """Return what a user does and sees on the machine if the sign is right."""
     k, unit = int(np.argmax(np.abs(curve.values))), unit_of(axis)
     return (

@@ -28,17 +28,17 @@ def add(to: ET.Element, name: str, text: Any = None, **attributes: str) -> ET.El
     return made
 
 
-def named(to: ET.Element, name: str, text: str) -> None:
+def add_text(to: ET.Element, name: str, text: str) -> None:
     """Add an element that holds a text in English, one content only: PTB's rules want one for each language."""
     add(add(to, name), "content", text, lang="en")
 
 
-def called(to: ET.Element, name: str) -> None:
+def add_name(to: ET.Element, name: str) -> None:
     """Add the name of a person, a firm or a thing as the job states it, in no language."""
     add(add(to, "name"), "content", name)
 
 
-def identified(to: ET.Element, numbers: Sequence[tuple[str, str | None, str]]) -> None:
+def add_identifications(to: ET.Element, numbers: Sequence[tuple[str, str | None, str]]) -> None:
     """Add numbers that identify something, each with its issuer and what it is; none if there are none.
 
     What it is stands there twice, for people and as a refType of DKD: "serial number" is `basic_serialNumber`.
@@ -50,13 +50,13 @@ def identified(to: ET.Element, numbers: Sequence[tuple[str, str | None, str]]) -
         element = add(held, "identification", refType=f"basic_{first}{''.join(map(str.capitalize, others))}")
         add(element, "issuer", issuer)
         add(element, "value", value)
-        named(element, "name", name)
+        add_text(element, "name", name)
 
 
-def software_of(to: ET.Element, name: str, record: Record) -> None:
+def add_software(to: ET.Element, name: str, record: Record) -> None:
     """Add the program; PTB's Schematron rules want one letter before the numbers of its release."""
     software = add(add(to, name), "software")
-    called(software, "metrocli")
+    add_name(software, "metrocli")
     add(software, "release", f"v{record.metrocli_version}")
     add(software, "type", "application")
 
@@ -121,7 +121,9 @@ def without_notation(symbols: Sequence[str]) -> list[Fault]:
     return [Fault(f"the unit {name} has no notation in D-SI", hint=hint) for name in unknown]
 
 
-def real(to: Element, value: float, unit: str, spread: float = 0.0, k: float = 2.0, probability: float = 1.0) -> None:
+def add_real(
+    to: Element, value: float, unit: str, spread: float = 0.0, k: float = 2.0, probability: float = 1.0
+) -> None:
     """Add a value with its expanded uncertainty `spread`, both rounded to two digits of it; none if it is zero.
 
     D-SI has no coverage factor below 1: there the standard uncertainty is stated.
@@ -152,7 +154,7 @@ def _probability_text(probability: float) -> str:
     return f"{probability:.{places}f}".rstrip("0").rstrip(".") if places else f"{probability:.0f}"
 
 
-def real_list(
+def add_real_list(
     to: Element,
     values: Array,
     unit: str,

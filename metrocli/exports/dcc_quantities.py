@@ -11,7 +11,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from metrocli.exports import dcc_elements as dsi
-from metrocli.exports.dcc_elements import DCC, add, named
+from metrocli.exports.dcc_elements import DCC, add, add_text
 from metrocli.result import Estimate, K, Result
 from metrocli.table import Table
 
@@ -70,16 +70,16 @@ def _places(table: Table) -> list[str]:
 def _result(to: ET.Element, name: str, *remarks: str) -> ET.Element:
     """Add a result and return where its data go."""
     element = add(to, "result")
-    named(element, "name", name)
+    add_text(element, "name", name)
     if remarks:
-        named(element, "description", "\n".join(remarks))
+        add_text(element, "description", "\n".join(remarks))
     return add(element, "data")
 
 
 def _quantity(to: ET.Element, name: str, kind: str = "") -> ET.Element:
     """Add a quantity without its value, of a kind such as `basic_measuredValue`."""
     quantity = add(to, "quantity", **({"refType": kind} if kind else {}))
-    named(quantity, "name", name)
+    add_text(quantity, "name", name)
     return quantity
 
 
@@ -95,7 +95,7 @@ def add_estimates(to: ET.Element, result: Result, known: Sequence[Estimate]) -> 
     for estimate in known:
         spread, k = result.expanded(estimate)
         quantity = _quantity(data, estimate.name, _MEASURED)
-        dsi.real(quantity, estimate.value, estimate.unit, spread, k, _probability(result, k, estimate.name))
+        dsi.add_real(quantity, estimate.value, estimate.unit, spread, k, _probability(result, k, estimate.name))
         _conformity(quantity, estimate, result.details.get(estimate.name, {}).get("tolerance", {}))
         _pixels(quantity, estimate.unit)
         _against_trials(quantity, result, estimate.name)
@@ -116,7 +116,7 @@ def _correlation(to: ET.Element, result: Result, known: Sequence[Estimate]) -> N
     held = _list(_result(to, "Correlation", _CORRELATION), "estimate")
     _texts(held, "estimate", names, _INDEX)
     for name, column in zip(names, matrix.T, strict=True):
-        dsi.real_list(_quantity(held, f"correlation with {name}"), column, "1")
+        dsi.add_real_list(_quantity(held, f"correlation with {name}"), column, "1")
 
 
 def _probability(result: Result, k: float, name: str = "") -> float:
@@ -150,7 +150,7 @@ def add_table(to: ET.Element, result: Result, name: str, table: Table) -> None:
     for column in (*_places(table), *pairs):
         quantity = _quantity(held, column, _INDEX if column == index else _MEASURED)
         unit, spreads = table.units.get(column) or "1", K * table.numbers(pairs[column]) if column in pairs else None
-        dsi.real_list(quantity, table.numbers(column), unit, spreads, K, probability)
+        dsi.add_real_list(quantity, table.numbers(column), unit, spreads, K, probability)
         _pixels(quantity, unit)
 
 
@@ -168,8 +168,8 @@ def _against_trials(quantity: ET.Element, result: Result, name: str) -> None:
     if trials is not None:
         remark, by_gum = _remark(quantity), 100 * float(result.details[name]["probability"])
         text = f"The coverage probability is the share of {trials['trials']:.0f} Monte Carlo trials within U, which"
-        named(remark, "name", "Coverage by Monte Carlo")
-        named(remark, "description", f"{text} contradict the {by_gum:.4g} % of the law of propagation.")
+        add_text(remark, "name", "Coverage by Monte Carlo")
+        add_text(remark, "description", f"{text} contradict the {by_gum:.4g} % of the law of propagation.")
         add(remark, "norm", "JCGM 101:2008")
 
 
@@ -206,9 +206,9 @@ def _conformity(to: ET.Element, estimate: Estimate, decision: Mapping[str, Any])
     if "zone" not in decision:
         return
     remark, (low, high) = _remark(to, refType="basic_conformity"), decision["limits"]
-    named(remark, "name", "Conformity")
+    add_text(remark, "name", "Conformity")
     add(remark, "norm", "ISO 14253-1")
-    named(remark, "declaration", "Decision rule: the guard band at each limit of the tolerance is U.")
+    add_text(remark, "declaration", "Decision rule: the guard band at each limit of the tolerance is U.")
     undecided = "conditionalPass" if low <= estimate.value <= high else "conditionalFail"
     add(remark, "conformity", {"conforming": "pass", "non-conforming": "fail"}.get(decision["zone"], undecided))
     data = add(remark, "data")
@@ -216,4 +216,4 @@ def _conformity(to: ET.Element, estimate: Estimate, decision: Mapping[str, Any])
         for end, value in zip(("Lower", "Upper"), decision.get(key, ()), strict=False):
             if np.isfinite(value):
                 quantity = _quantity(data, f"{end.lower()} {limit} limit", f"basic_{limit}Limit{end}")
-                dsi.real(quantity, value, estimate.unit)
+                dsi.add_real(quantity, value, estimate.unit)

@@ -214,9 +214,9 @@ def moved(held: Mapping[str, Pitch] | list[Pitch], commanded: Array) -> Array:
     return moves
 
 
-def coarsened(held: list[Pitch]) -> float:
+def coarseness(held: list[Pitch]) -> float:
     """Return the largest magnification: sums are rounded to this number of detection units."""
     return float(max(pitch.magnification for pitch in held))
 
 
-CONTROL = CompensationFormat(written, read, moved, UNIT, coarsened, carried, turns=True)
+CONTROL = CompensationFormat(written, read, moved, UNIT, coarseness, carried, turns=True)

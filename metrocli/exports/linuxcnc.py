@@ -15,7 +15,7 @@ import numpy as np
 
 from metrocli.arrays import Array
 from metrocli.errors import InputError
-from metrocli.exports.compensation import CompensationFormat, Texts, positioning, test_move
+from metrocli.exports.compensation import CompensationFormat, Texts, positioning, sign_test
 from metrocli.exports.error_tables import LETTERS, ErrorTable, ErrorTables
 
 MOST_POINTS = 256
@@ -47,7 +47,7 @@ def written(tables: ErrorTables) -> Texts:
     note = [
         *replace(tables, reversal={}).notes(),
         "each line of a .comp file: nominal position, position reached in forward travel, in reverse travel; mm or deg",
-        *(test_move(name[2], curve) for name, curve in tables.curves.items()),
+        *(sign_test(name[2], curve) for name, curve in tables.curves.items()),
         *([_ONE_TURN] if tables.periodic else []),
         "LinuxCNC ignores BACKLASH of a joint with a COMP_FILE: the two columns contain the backlash of the result",
         *lines,

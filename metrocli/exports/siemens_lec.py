@@ -14,7 +14,7 @@ import numpy as np
 
 from metrocli.arrays import Array
 from metrocli.errors import InputError
-from metrocli.exports.compensation import CompensationFormat, Texts, positioning, test_move
+from metrocli.exports.compensation import CompensationFormat, Texts, positioning, sign_test
 from metrocli.exports.error_tables import LETTERS, ErrorTable, ErrorTables, unit_of
 from metrocli.exports.volumetric import evenly
 
@@ -46,7 +46,7 @@ def _text(axis: str, curve: ErrorTable, tables: ErrorTables) -> str:
     head = [
         f"%_N_{axis}_EEC_INI",
         *(f"; {line}" for line in tables.notes()),
-        f"; {test_move(axis, curve)}",
+        f"; {sign_test(axis, curve)}",
         f"; value = E{axis}{axis} in {unit_of(axis)}, which the control adds to the actual position",
         f"; needs MD38000 $MA_MM_ENC_COMP_MAX_POINTS >= {count}; load while MD32700 = 0, then reference the axis",
         "; SINUMERIK 808D takes at most 200 points",

@@ -1,4 +1,11 @@
-"""Import files of instruments as CSV that jobs read. Each format is one module here and one entry in FORMATS."""
+"""Import files of instruments as CSV that jobs read. Each format is one module here and one entry in FORMATS.
+
+- `lines` (text of a file with its line numbers) is what each begins with
+- tables: `columns`, by a mapping file; `proposed_mapping` guesses one; points: `sa_ascii`
+- networks: `gama_xml`, `comp3d`, `lgc2`; image points: `colmap_model`, `metashape_markers`, `vnl`
+- `cameras`, as YAML: `camera_fields` (keys of a text) -> `camera_readers` (a program each), `splined_camera`,
+  `camera_rigs` (several)
+"""
 
 from __future__ import annotations
 

@@ -44,6 +44,7 @@ def form_of(lines: TextLines, program: str, name: str, count: int | None = None)
 
 
 def coefficients(form: LensForm) -> tuple[str, ...]:
+    """Return the names of the distortion coefficients of a model, in the order of its program."""
     return tuple(name for name in form.terms if name not in ("f", "fx", "fy", "cx", "cy", "skew"))
 
 
@@ -59,6 +60,7 @@ def camera_of(
     ]
     if wrong:
         raise InputError(wrong)
+    # the centre of the first pixel is (0, 0) here, and (0.5, 0.5) or (1, 1) in some programs
     pixel = PROGRAMS[program].pixel
     centre = {name: repr(float(values[name]) - pixel) for name in ("cx", "cy")} if pixel else {}
     return ReadCamera(form, (int(float(size[0])), int(float(size[1]))), {**values, **centre})
@@ -104,6 +106,7 @@ def children(lines: TextLines, element: ElementTree.Element) -> dict[str, Elemen
 
 
 def by_name(form: LensForm, numbers: Sequence[str]) -> dict[str, str]:
+    """Return the distortion coefficients of a model by name."""
     return dict(zip(coefficients(form), numbers, strict=True))
 
 
@@ -119,12 +122,17 @@ def text_after(lines: TextLines, pattern: str, text: str) -> str | None:
 
 
 def listed(text: str) -> list[str]:
-    """Return the entries of a list as written, and an empty text where commas have nothing between them."""
+    """Return the entries of a list as written, and an empty text where commas have nothing between them.
+
+    "1., 2.5" are "1" and "2.5": OpenCV writes whole numbers with a point.
+    """
     parts = text.split() if not re.search("[,;]", text) else re.split("[,;]", re.sub(r"[,;]\s*$", "", text))
     return [re.sub(r"(?<=[0-9])\.$", "", part.strip()) for part in parts]
 
 
+# indentation, key in quotes or without, and what stands behind it: a colon without a blank is no key of YAML
 _KEY = re.compile(r"([ \t]*)(?:'|\")?([\w.]+)(?:'|\")?[ \t]*:(?![^ \t])(.*)")
+# a line of a list, "- 1.5"
 _ENTRY = re.compile(r"^[ \t]*-(?:[ \t]+(.*))?$", re.MULTILINE)
 
 
@@ -165,9 +173,9 @@ class Keys:
             return _entries(body)
         numbers = inner.entries("data")
         sides = {side: text for side in ("rows", "cols") if is_number(text := inner.text(side) or "")}
-        whole = math.prod(map(float, sides.values()))
-        # a file that ends too early may have one of them
-        if numbers and (not whole or len(numbers) % whole or (len(sides) == 2 and len(numbers) != whole)):
+        # of both sides the size of the matrix; a file that ends too early may have one of them, which must divide it
+        size = math.prod(map(float, sides.values()))
+        if numbers and (not size or len(numbers) % size or (len(sides) == 2 and len(numbers) != size)):
             stated = " and ".join(f"{side} {text}" for side, text in sides.items())
             raise InputError(
                 [self._file.fault(f"{place[1][2]} has {len(numbers)} numbers", None, f"it states {stated}")]
@@ -175,6 +183,7 @@ class Keys:
         return numbers
 
     def _place(self, key: str, nested: bool = True) -> tuple[int, re.Match[str]] | None:
+        """Return row and match of a key; only keys without indentation unless `nested`."""
         matches = [
             (n, match)
             for n, match in self._keys
@@ -186,10 +195,11 @@ class Keys:
 
     def _below(self, row: int, match: re.Match[str]) -> list[str]:
         """Return the lines that belong to a key: indented farther, entries of a list, or within its brackets."""
-        here, body = len(match[1]), list[str]()
+        indent, body = len(match[1]), list[str]()
         for line in self._rows[row + 1 :]:
             own = len(line) - len(line.lstrip())
-            inside = own > here or (own == here and re.match(r"\s*-(\s|$)", line)) or ":" not in line
+            # FileStorage breaks lists within brackets at any indentation: such lines have no colon
+            inside = own > indent or (own == indent and re.match(r"\s*-(\s|$)", line)) or ":" not in line
             if not inside or line.startswith(("---", "...")):
                 break
             body.append(line)
@@ -197,6 +207,7 @@ class Keys:
 
 
 def _entries(body: str) -> list[str]:
+    """Return the entries of a list in brackets, or with "- " on each line; none of brackets that are not closed."""
     opened = body.lstrip().startswith("[")
     brackets = re.match(r"\s*\[([^\]]*)\]\s*$", body) if opened else None
     if opened:

@@ -2,7 +2,7 @@
 
 A figure has `data(result)`, plain values, and `draw(canvas, data)`. `readings` gives the residuals of any result
 in one form, `places` its points; `noise_bands` has what pure noise may do, `magnify` what is left out, `style` the
-look. Those in `beside` also show what stands beside the result: its diagnosis, an earlier result, its lineage.
+look. Those in `context` show a result in its context: its diagnosis, an earlier result, its lineage.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from metrocli.errors import UsageError
 from metrocli.frozen import dataclass
-from metrocli.plots.beside import ALONE, Beside
+from metrocli.plots.context import ALONE, ResultContext
 from metrocli.words import suggestion
 
 if TYPE_CHECKING:
@@ -33,8 +33,8 @@ class FigureEntry:
     module: str
     summary: str
     about: str = ""
-    beside: bool = False
-    """Whether it shows the result with what stands beside it"""
+    in_context: bool = False
+    """Whether it shows the result in its context"""
 
 
 FIGURES: dict[str, FigureEntry] = {
@@ -52,17 +52,19 @@ FIGURES: dict[str, FigureEntry] = {
     "residuals-instrument": FigureEntry("instruments", "normalised residuals by instrument and quantity", "residuals"),
     "two-face": FigureEntry("instruments", "differences of the two faces by station", "faces"),
     "before-after": FigureEntry(
-        "beside.before_after", "normalised residuals before and after the model was extended", beside=True
+        "context.before_after", "normalised residuals before and after the model was extended", in_context=True
     ),
     "law": FigureEntry(
-        "beside.law", "law that the diagnosis found, with the readings in which it found it", beside=True
+        "context.law", "law that the diagnosis found, with the readings in which it found it", in_context=True
     ),
-    "held-out": FigureEntry("beside.held_out", "gain of what the diagnosis found, in each held-out part", beside=True),
+    "held-out": FigureEntry(
+        "context.held_out", "gain of what the diagnosis found, in each held-out part", in_context=True
+    ),
     "normal-plot": FigureEntry("normal_plot", "normal plot of the normalised residuals"),
     "coverage": FigureEntry("images.coverage", "coverage of the image by readings"),
     "projection-error": FigureEntry("images.projection_error", "expected projection error over the image"),
     "lens-difference": FigureEntry(
-        "beside.lens_difference", "difference of two cameras over the image, after the best rotation", beside=True
+        "context.lens_difference", "difference of two cameras over the image, after the best rotation", in_context=True
     ),
     "error-curves": FigureEntry("error_curves", "errors of a machine over its axes (actual minus commanded)"),
     "positioning": FigureEntry("positioning", "positioning of the axes by ISO 230-2"),
@@ -73,7 +75,7 @@ FIGURES: dict[str, FigureEntry] = {
     "trials": FigureEntry("budgets.trials", "Monte Carlo trials with the coverage intervals of both methods"),
     "conformity": FigureEntry("budgets.conformity", "values against tolerance and guard band"),
     "correlation": FigureEntry("correlation", "correlation matrix of the estimates"),
-    "lineage": FigureEntry("beside.lineage", "files and jobs that the result was made from", beside=True),
+    "lineage": FigureEntry("context.lineage", "files and jobs that the result was made from", in_context=True),
 }
 """All figures, in the order in which a page shows them"""
 _NEEDS = {
@@ -86,16 +88,16 @@ _NEEDS = {
 """What a figure needs beside the result"""
 
 
-def data_of(name: str, result: Result, beside: Beside = ALONE) -> Any:
-    """Return the data of a figure, or None if the result, with what stands beside it, cannot show it."""
+def data_of(name: str, result: Result, context: ResultContext = ALONE) -> Any:
+    """Return the data of a figure, or None if the result, in its context, cannot show it."""
     entry = FIGURES[name]
     module = import_module(f"metrocli.plots.{entry.module}")
-    return module.data(result, beside if entry.beside else entry.about)
+    return module.data(result, context if entry.in_context else entry.about)
 
 
-def names_of(result: Result, beside: Beside = ALONE) -> list[str]:
+def names_of(result: Result, context: ResultContext = ALONE) -> list[str]:
     """Return the names of the figures that a result can show."""
-    return [name for name in FIGURES if data_of(name, result, beside) is not None]
+    return [name for name in FIGURES if data_of(name, result, context) is not None]
 
 
 @contextmanager
@@ -116,20 +118,22 @@ def title_of(name: str) -> str:
     return f"{summary[0].upper()}{summary[1:]}"
 
 
-def check(result: Result, name: str, path: Path, beside: Beside = ALONE) -> None:
+def check(result: Result, name: str, path: Path, context: ResultContext = ALONE) -> None:
     """Raise UsageError if a result has no such figure, or if the ending of the file is not svg, pdf or png."""
     if path.suffix.lower().removeprefix(".") not in FORMS:
         raise UsageError(f"--save {path}: the name of a figure ends in .svg, .pdf or .png")
-    if name not in FIGURES or data_of(name, result, beside) is None:
+    if name not in FIGURES or data_of(name, result, context) is None:
         needs = f"it needs {_NEEDS[name]}; " if name in _NEEDS else ""
-        others = suggestion(name, names_of(result, beside))
+        others = suggestion(name, names_of(result, context))
         raise UsageError(f"this result of {result.kind} has no figure '{name}'; {needs}{others}")
 
 
-def save(result: Result, name: str, path: Path, ending: str, dark: bool = False, beside: Beside = ALONE) -> None:
+def save(
+    result: Result, name: str, path: Path, ending: str, dark: bool = False, context: ResultContext = ALONE
+) -> None:
     """Write a figure that `check` accepts, with title and caption, in the format of an ending such as ".svg"."""
     from metrocli.plots import style
 
-    with drawn(name, data_of(name, result, beside), dark) as (canvas, caption):
+    with drawn(name, data_of(name, result, context), dark) as (canvas, caption):
         style.arrange(canvas, title_of(name), caption)
         style.write(canvas, path, ending.lower().removeprefix("."))

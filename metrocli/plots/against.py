@@ -49,7 +49,7 @@ class Panel:
 
     @property
     def room(self) -> float:
-        """The largest w of the picture: with room for the name of a reading beyond it."""
+        """The largest w of the axis: with room for the name of a reading beyond it."""
         return (1.3 if self.label else 1.12) * max(float(np.abs(self.w).max()), self.most)
 
     @property
@@ -74,38 +74,46 @@ def data(result: Result, about: str) -> Against | None:
 
 
 def _radial(result: Result) -> list[Panel]:
+    """Return panels of the components of image residuals along and across the radius."""
     each = image_residuals(result)
     if not each:
         return []
     radius, along, across = (np.concatenate(parts) for parts in zip(*map(radial, each), strict=True))
-    names = [(residuals, k) for residuals in each for k in range(len(residuals.rows))]
-    sides = (("along the radius", along), ("across the radius", across))
-    return _panels([(side, radius, w, lambda k: names[k][0].name(names[k][1])) for side, w in sides])
+    owners = [(residuals, k) for residuals in each for k in range(len(residuals.rows))]
+
+    def name(row: int) -> str:
+        residuals, k = owners[row]
+        return residuals.name(k)
+
+    return _panels([("along the radius", radius, along, name), ("across the radius", radius, across, name)])
 
 
 def _others(result: Result, about: str) -> list[Panel]:
+    """Return a panel for each kind of residual that has the covariate; all have their order."""
     sets = []
     for residual in residuals_of(result):
         covariates = {"order": np.arange(1.0, len(residual.w) + 1), **residual.covariates}
         if about in covariates:
-            name = " ".join(
-                filter(None, [residual.kind, f"residual {residual.part.strip('_')}" if residual.part else ""])
-            )
+            part = f"residual {residual.part.strip('_')}" if residual.part else ""
+            name = " ".join(filter(None, [residual.kind, part]))
             sets.append((name, covariates[about], residual.w, residual.name))
     return _panels(sets)
 
 
 def _panels(sets: Sequence[tuple[str, Array, Array, Callable[[int], str]]]) -> list[Panel]:
-    """Return a panel for each set of residuals that others check; together they have at most `MOST` marks."""
-    checked = [residuals for residuals in sets if np.isfinite(residuals[2]).any()]
-    count = sum(int(np.isfinite(covariate[2]).sum()) for covariate in checked)
-    return [panel_of(*covariate, MOST // len(checked), count) for covariate in checked]
+    """Return a panel for each set of residuals that others check; together they have at most `MOST` marks.
+
+    A set is its name, the covariate (n,), w (n,), and the function that names a reading.
+    """
+    checked = [each for each in sets if np.isfinite(each[2]).any()]
+    count = sum(int(np.isfinite(w).sum()) for _, _, w, _ in checked)
+    return [panel_of(*each, MOST // len(checked), count) for each in checked]
 
 
 def panel_of(name: str, covariate: Array, w: Array, named: Callable[[int], str], marks: int, count: int) -> Panel:
-    """Return a panel of the residuals w (n,) that others check, with at most that many marks; `named` is given a row.
+    """Return a panel of those residuals w (n,) that others check, with at most `marks` marks.
 
-    The bound of the largest |w| is that of `count` readings, those of all panels.
+    `named` returns the name of a row. The bound of the largest |w| is that of `count` readings, those of all panels.
     """
     kept, most = np.flatnonzero(np.isfinite(w)), largest_of(count)
     covariate, w = covariate[kept], w[kept]

@@ -1,9 +1,9 @@
 """Jobs and projects: from the text of a job to its result file, and what is up to date.
 
-- a job: `yaml_text` (nodes) -> `heading`, `campaign` (keys of every job, `for:`) -> `job.load` with `named_files`,
+- a job: `yaml_text` (nodes) -> `heading`, `campaign` (keys of every job, `for:`) -> `job` with `named_files`,
   `own_effects` and `ranges`, which lists all faults at once
 - a project: `steps` (order) -> `staleness` by `fingerprint` -> `pipeline` -> `running` (who computes)
-- one job: `runner` reads `inputs`, runs the task, judges `requirements` and `conformity`, and writes the result
+- one job: `runner` reads `inputs`, runs the task, judges `requirements` (criteria, tolerances), and writes the result
 - other commands: `diagnosed`, `until_clean`, `planned`, `simulated`; `provenance` looks back from a result
 """
 

@@ -9,8 +9,8 @@ import numpy as np
 
 from metrocli import units
 from metrocli.plots import overstock, volume_map
-from metrocli.plots.beside import chosen_law, law_in_words, sizes_in_words
 from metrocli.plots.budgets import contributors
+from metrocli.plots.context import chosen_law, law_in_words, sizes_in_words
 from metrocli.plots.magnify import length_in_words, micro
 from metrocli.plots.noise_bands import largest_of
 from metrocli.plots.places import places_of

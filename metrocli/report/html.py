@@ -9,7 +9,7 @@ from typing import Any
 
 from metrocli import units
 from metrocli.frozen import dataclass
-from metrocli.plots.beside import ALONE, Beside
+from metrocli.plots.context import ALONE, ResultContext
 from metrocli.record import Record
 from metrocli.result import Estimate, Result
 
@@ -104,8 +104,8 @@ class Content:
     diagnosis: PrintedDiagnosis | None = None
     job: str = "JOB.yaml"
     """How commands name the job"""
-    beside: Beside = ALONE
-    """What figures show beside the result"""
+    context: ResultContext = ALONE
+    """What figures show with the result"""
     stated: Result | None = None
     """The result in the units of its estimates on the page; the result itself unless given"""
 

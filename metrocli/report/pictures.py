@@ -13,7 +13,7 @@ import numpy as np
 
 from metrocli import plots
 from metrocli.plots import control_chart, panel_columns, style
-from metrocli.plots.beside import ALONE, Beside
+from metrocli.plots.context import ALONE, ResultContext
 from metrocli.plots.scene import TILT, TURN, Scene, named
 from metrocli.report.html import EMPTY, Html, code, joined, scrolling, tag
 from metrocli.report.pdf import roles, variable
@@ -29,11 +29,11 @@ _PLAIN = re.compile(r"[^A-Za-z0-9]+")
 _ID = re.compile(r'(\bid="|url\(#|href="#)')
 
 
-def figures(result: Result, path: str, beside: Beside) -> Iterator[tuple[str, Html]]:
+def figures(result: Result, path: str, context: ResultContext) -> Iterator[tuple[str, Html]]:
     """Yield name and content of each figure of a result, as long as the page has room; then how to draw it."""
     room = MOST
     for name in plots.FIGURES:
-        data = plots.data_of(name, result, beside)
+        data = plots.data_of(name, result, context)
         if data is None:
             continue
         if room <= 0:
@@ -162,7 +162,7 @@ def _as_json(value: Any) -> Html:
     return Html(json.dumps(value, separators=(",", ":"), ensure_ascii=False).replace("<", "\\u003c"))
 
 
-def shown(result: Result, path: str, beside: Beside = ALONE) -> tuple[Html, bool]:
+def shown(result: Result, path: str, context: ResultContext = ALONE) -> tuple[Html, bool]:
     """Return all figures of a result in the file `path`, and whether one of them turns."""
-    drawn = list(figures(result, path, beside))
+    drawn = list(figures(result, path, context))
     return joined(content for _, content in drawn), any(name == "scene" for name, _ in drawn)

@@ -22,7 +22,7 @@ def result_page(content: Content) -> str:
     """Return the page of a result as HTML."""
     result = content.result
     title = result.title or result.kind
-    figures, turns = shown(result, content.path, content.beside)
+    figures, turns = shown(result, content.path, content.context)
     parts = [
         tag("p", f"metrocli {result.kind}", class_="muted"),
         tag("h1", title),

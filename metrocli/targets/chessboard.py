@@ -46,14 +46,14 @@ def find(pattern: Pattern, picture: Picture) -> FoundTargets:
         return nothing(f"no chessboard: the board has more than {columns} x {rows} inner corners")
     corners, sigma = fit_grid(picture, grid)
     flat, spread = corners.reshape(-1, 2), sigma.ravel()
-    seen = np.flatnonzero(np.isfinite(spread))
-    if len(seen) < 4:
+    fitted = np.flatnonzero(np.isfinite(spread))
+    if len(fitted) < 4:
         return nothing("no chessboard: the grey values show no corners")
-    reason = order_fault(lattice(pattern)[seen], flat[seen])
+    reason = order_fault(lattice(pattern)[fitted], flat[fitted])
     if reason:
         return nothing(f"no chessboard: {reason}")
     named = names(pattern)
-    return points([named[place] for place in seen], flat[seen], spread[seen])
+    return points([named[place] for place in fitted], flat[fitted], spread[fitted])
 
 
 def shown_size(picture: Picture) -> tuple[int, int] | None:
@@ -70,13 +70,13 @@ def _coarse(pattern: Pattern, grey: npt.NDArray[np.uint8]) -> Array | None:
 
     Images beyond MOST_PIXELS are searched reduced only: a search of them takes minutes.
     """
-    factor = -(-max(grey.shape) // REDUCED)
+    factor = -(-max(grey.shape) // REDUCED)  # rounded up
     if factor > 1:
         size = (grey.shape[1] // factor, grey.shape[0] // factor)
         smaller = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
         corners = _searched(pattern, np.asarray(smaller, dtype=np.uint8))
         if corners is not None:
-            # not `factor`: the sides of the smaller image are rounded down
+            # not `factor`: the sides of the smaller image are rounded down; 0.5, since the centres of pixels are whole
             return np.asarray((corners + 0.5) * np.divide(grey.shape[::-1], size) - 0.5)
     return _searched(pattern, grey) if factor == 1 or grey.size <= MOST_PIXELS else None
 
@@ -105,15 +105,16 @@ def _in_order(pattern: Pattern, corners: Array, picture: Picture) -> tuple[Array
     """Return the corners (rows, columns, 2) in the pattern's order; without an order, nothing and the reason."""
     rows, columns = pattern.shape
     place = upright((rows, columns), corners)
-    if place is None:  # OpenCV lists the corners of most boards row by row
+    if place is None:  # not row by row, as OpenCV lists the corners of most boards
         place, reason = ordered(lattice(pattern), corners)
         if not reason and (place < 0).any():
             reason = "the corners found do not lie on a lattice"
         if reason:
             return np.empty((0, 0, 2)), reason
     grid = corners[place].reshape(rows, columns, 2)
-    told_by_colour = (rows + columns) % 2 == 1
-    if told_by_colour and _first_square_is_bright(grid, picture):
+    # turned by half, a board with an odd sum has its colours exchanged, one with an even sum has not
+    colours_decide = (rows + columns) % 2 == 1
+    if colours_decide and _first_square_is_bright(grid, picture):
         grid = grid[::-1, ::-1]
     return grid, ""
 
@@ -125,9 +126,8 @@ def _first_square_is_bright(grid: Array, picture: Picture) -> bool:
 
 def _continues(grid: Array, picture: Picture) -> bool:
     """Return whether squares go on beyond those around the outermost corners: then no corner has a certain name."""
-    return any(
-        _continues_below(side, picture) for side in (grid, grid[::-1], grid.swapaxes(0, 1), grid.swapaxes(0, 1)[::-1])
-    )
+    turned = grid.swapaxes(0, 1)
+    return any(_continues_below(side, picture) for side in (grid, grid[::-1], turned, turned[::-1]))
 
 
 def _continues_below(grid: Array, picture: Picture) -> bool:

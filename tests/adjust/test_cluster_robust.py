@@ -174,7 +174,7 @@ def test_the_covariance_is_that_of_whole_matrices(both: tuple[ClusterRobust, Pla
     size = np.sqrt(np.diag(plain.covariance))
     assert abs((of_shared(found, plain) - plain.covariance) / size / size[:, None]).max() < 1e-5
     assert found.sample.factors == pytest.approx(plain.factors, rel=1e-5)
-    assert found.sample.share == pytest.approx(plain.share, rel=1e-4)
+    assert found.sample.shrinkage == pytest.approx(plain.share, rel=1e-4)
 
 
 def test_the_expected_errors_are_the_most_likely(both: tuple[ClusterRobust, Plain]) -> None:
@@ -285,13 +285,13 @@ def test_members_of_one_cluster_follow_from_the_others_in_the_datum(lengths_in_t
     own = np.linalg.inv(points.T @ points)
     follow = np.concatenate([-own @ points.T @ others, np.eye(others.shape[1])])
     known = follow @ found.sample.of_shared() @ follow.T
-    known[:first, :first] += found.sample.of_own * own
+    known[:first, :first] += found.sample.own_factor * own
     datum = np.concatenate([motions[:first], np.zeros((others.shape[1], 6))])
     into = np.eye(len(known)) - motions @ np.linalg.solve(datum.T @ motions, datum.T)
     expected = into @ known @ into.T
     stated = found.solution.joint([tracer.POINT, tracer.TRACER])
     size = np.sqrt(np.diag(expected))
-    assert found.sample.of_own > 1.5
+    assert found.sample.own_factor > 1.5
     # the datum has the motions of the listed points, which lie 20 um beside those found, in a volume of 1 m
     assert abs((stated - expected) / size / size[:, None]).max() < 2e-4
     each = found.solution.covariance_or_raise().members(tracer.POINT)

@@ -246,7 +246,7 @@ def test_in_noise_the_levels_are_what_they_say(draws: int, most: int) -> None:
     m, rng, named = field(), np.random.default_rng(11), 0
     for _ in range(draws):
         noise = m.system.seen(rng.normal(size=m.system.rows))
-        state = State.of(replace(m, system=replace(m.system, residual=noise), held={}))
+        state = State.of(replace(m, system=replace(m.system, residual=noise), cache={}))
         found = moves(state)
         named += bool(found and found[0].net > 0 and forward(state).named)
     assert named <= most

@@ -10,7 +10,7 @@ import pytest
 from benchmarks.hidden import images, launch, lengths
 from benchmarks.hidden_effects import KINDS
 from metrocli.cli.diagnosis_report.findings import of_diagnosis
-from metrocli.cli.diagnosis_report.loop import of_loop
+from metrocli.cli.diagnosis_report.loop import loop_text
 from metrocli.diagnosis.diagnose import diagnose
 from metrocli.diagnosis.verdict import as_data
 from metrocli.project.until_clean import End, Loop
@@ -30,7 +30,7 @@ def test_a_bad_pose_that_only_its_distance_shows_stands_beside_the_wrong_distanc
     assert wrong["or_effects"] == [{"name": "bad-pose", "where": {"pose": "P4"}}]
     assert "bad-pose P4" in of_diagnosis(found, None).split("\n\n")[1]
     # the loop --until-clean has nothing to add, and states the wrong reading, too
-    looped = of_loop(Loop(found, found, (), End.CLEAN))
+    looped = loop_text(Loop(found, found, (), End.CLEAN))
     assert looped == "verdict: clean, with 1 wrong reading\n\nended: clean"
 
 

@@ -184,8 +184,8 @@ def test_a_round_trip_leaves_the_rounding(name: str, order: str) -> None:
     for seed in range(3):
         carried = control.carried(machine(seed, order))
         texts = control.written(carried)
-        assert control.left(carried, texts) <= control.promised(texts)
-        assert np.abs(carried.at(places_of(carried))).max() > 10 * control.promised(texts)
+        assert control.remaining_error(carried, texts) <= control.rounding_bound(texts)
+        assert np.abs(carried.at(places_of(carried))).max() > 10 * control.rounding_bound(texts)
 
 
 @pytest.mark.alike
@@ -226,7 +226,7 @@ def test_fanuc_says_how_coarse_it_is() -> None:
     control = fanuc.CONTROL
     texts = control.files(ErrorTables({"EXX": curve}, {}))
     assert fanuc.read(texts)[0].magnification == 9
-    assert control.promised(texts) == pytest.approx(0.009)
+    assert control.rounding_bound(texts) == pytest.approx(0.009)
     assert "SUMS ARE ROUNDED TO X 0.009 MM" in texts["pitch-error.txt"]
     off = ErrorTable(np.linspace(12.3, 587.1, 13), 0.05 * (-1.0) ** np.arange(13))
     (text,) = control.files(ErrorTables({"EXX": off}, {}, left_out=("EAZ",), together=("EXZ",))).values()
@@ -242,7 +242,7 @@ def test_a_wrong_sign_doubles_the_error_and_is_caught(name: str) -> None:
     carried = control.carried(machine(3))
     before = np.abs(carried.at(places_of(carried))).max()
     wrong = replace(control, moved=lambda held, places: -control.moved(held, places))
-    assert wrong.left(carried, control.written(carried)) == pytest.approx(2 * before, rel=0.02)
+    assert wrong.remaining_error(carried, control.written(carried)) == pytest.approx(2 * before, rel=0.02)
     with pytest.raises(AssertionError, match="leaves"):
         wrong.files(machine(3))
 

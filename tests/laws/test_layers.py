@@ -45,7 +45,7 @@ NOT_KINDS = {"__init__", "job", "kind", "shared"}
 """In `tasks`: what is no kind of job"""
 INSIDE = {
     "report": [{"result_page", "project_page"}, {"*"}, {"content", "html"}],
-    "plots": [{"beside"}, {"*"}, {"plotted_points", "readings", "style"}, {"noise_bands", "thinning", "magnify"}],
+    "plots": [{"context"}, {"*"}, {"plotted_points", "readings", "style"}, {"noise_bands", "thinning", "magnify"}],
     "adjust": [{"coupled_fields", "rounds"}, {"robust", "dense_jacobian"}, {"adjustment"}, {"*"}, {"model"}],
     "effects": [{"own"}, {"links"}, {"*"}],
     "diagnosis": [

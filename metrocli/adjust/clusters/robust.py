@@ -151,7 +151,7 @@ def _of_members(solution: Solution, white: Array, sample: ClusterSample) -> Cova
 
     The members' own noise grows by one factor, also where it enters the datum: `V_r = phi (Q_r - A Q_r A') + V_A`.
     """
-    known, own = solution.covariance_or_raise(), sample.of_own
+    known, own = solution.covariance_or_raise(), sample.own_factor
     # everything else multiplies by `factor`, so it is divided out here
     reduced = known.reduced + (sample.of_shared() / own - white) / known.factor
     members = replace(known.eliminated, reduced=reduced)

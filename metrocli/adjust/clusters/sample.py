@@ -25,24 +25,28 @@ from metrocli.frozen import dataclass
 _MOSTLY = 0.5
 """Share of a variance from a single cluster above which it has the degrees of freedom of the factor"""
 _TINY = 1e-300
+"""Divisor in the place of 0"""
 _RANK = 1e-12
 """Smallest eigenvalue of a correlation matrix that is not a movement of a free network"""
 
 
 @dataclass(frozen=True)
 class ClusterUnknowns:
-    """Unknowns that only one cluster uses, such as the pose of an image: `own = noise + by_shared shared`."""
+    """Unknowns that only one cluster uses, such as the pose of an image: `o = noise + K s`, s the shared unknowns."""
 
     columns: Index
     noise: Array
     """Their covariance with the shared unknowns held, for independent errors, (k, k)"""
     by_shared: Array
-    """(k, shared)"""
+    """K, (k, shared)"""
 
 
 @dataclass(frozen=True)
 class ClusterSample:
-    """What the errors of each cluster change, and the covariance that follows from it."""
+    """What the errors of each cluster change, and the covariance that follows from it.
+
+    All is in coordinates z with `s = L z`, in which the shared unknowns s have the covariance 1 for independent errors.
+    """
 
     shared: Mask
     """The unknowns of more than one cluster, (unknowns,)"""
@@ -53,7 +57,7 @@ class ClusterSample:
     clusters: tuple[ClusterSpread, ...]
     own: tuple[ClusterUnknowns, ...]
     prior: Array
-    """Information of the rows whose errors are independent, (coordinates, coordinates)"""
+    """P, the information of the rows whose errors are independent, (coordinates, coordinates)"""
     excess: Excess
     """How much larger the errors expected in the first coordinates are than white noise"""
     grows: bool = True
@@ -70,14 +74,14 @@ class ClusterSample:
         shared = rows.shared
         root, parts = _root(white, first[shared])
         numbers = np.cumsum(shared) - 1
-        seen, own = [], []
+        projected, own = [], []
         for cluster in rows.of_clusters:
             # unknowns of this cluster alone are projected out, as a pose is of the rows of its image
             common = shared[cluster.columns]
             at = numbers[cluster.columns[common]]
             basis, triangle = np.linalg.qr(cluster.jacobian[:, ~common])
             coupling = basis.T @ cluster.jacobian[:, common]
-            seen.append(
+            projected.append(
                 ClusterDirections.of((cluster.jacobian[:, common] - basis @ coupling) @ root[at], cluster.residual)
             )
             inverse = np.linalg.inv(triangle)
@@ -89,81 +93,89 @@ class ClusterSample:
             np.sum([jacobian.T @ jacobian for jacobian in known], axis=0) if known else np.zeros((root.shape[1],) * 2)
         )
         square = float(sum(cluster.residual @ cluster.residual for cluster in (*rows.of_clusters, *rows.others)))
-        apart = first[shared].any()
-        acting = [ActingDirections.of(cluster, parts[0]) for cluster in seen]
+        has_first = first[shared].any()
+        acting = [ActingDirections.of(cluster, parts[0]) for cluster in projected]
         # without first unknowns an excess is the same as a factor on all errors
-        excess = most_likely(Likelihood.of(seen, acting, square, dof)) if apart else Excess()
-        return cls(shared, root, parts, spreads(seen, acting, excess, prior), tuple(own), prior, excess, grows)
+        excess = most_likely(Likelihood.of(projected, acting, square, dof)) if has_first else Excess()
+        return cls(shared, root, parts, spreads(projected, acting, excess, prior), tuple(own), prior, excess, grows)
 
     @cached_property
-    def target(self) -> Array:
-        """The covariance that the errors expected of the clusters give, `sum F' Omega F`."""
+    def expected(self) -> Array:
+        """T, the covariance that the expected errors of the clusters give, `sum F' Omega F`."""
         return np.asarray(np.sum([cluster.information for cluster in self.clusters], axis=0))
 
     @cached_property
     def white(self) -> float:
         """Sum of the variances that white noise of the clusters gives, `tr sum F'F`."""
-        return float(sum((cluster.seen.sizes**2).sum() for cluster in self.clusters))
+        return float(sum((cluster.projected.sizes**2).sum() for cluster in self.clusters))
 
     @cached_property
     def empirical(self) -> Array:
-        """The covariance that the errors of the clusters give as they are, `sum change change'` (CR2)."""
+        """W, the covariance that the errors of the clusters give as they are, `sum change change'` (CR2)."""
         changes = np.array([cluster.change for cluster in self.clusters])
         return np.asarray(changes.T @ changes)
 
     @cached_property
     def factors(self) -> tuple[float, ...]:
-        """How many times the expected variance the clusters have, on average over each part."""
-        levels, target = np.diag(self.empirical), np.diag(self.target)
+        """`tr W_pp / tr T_pp` of each part p: how many times the expected variance the clusters have."""
+        empirical, expected = np.diag(self.empirical), np.diag(self.expected)
         return tuple(
-            float(levels[part].sum() / target[part].sum()) if target[part].sum() > 0 else 1.0 for part in self.parts
+            float(empirical[part].sum() / expected[part].sum()) if expected[part].sum() > 0 else 1.0
+            for part in self.parts
         )
 
     @cached_property
     def factor(self) -> float:
-        """How many times the variance of white noise the clusters have, on average over all parts."""
+        """`tr W / tr sum F'F`: how many times the variance of white noise the clusters have, on average."""
         return float(np.trace(self.empirical) / self.white)
 
     @property
-    def of_own(self) -> float:
-        """How many times the variance of independent errors what only one cluster determines has; at least 1."""
+    def own_factor(self) -> float:
+        """Factor, at least 1, on the variance that independent errors give to what only one cluster determines."""
         return max(self.factor, 1.0) if self.grows else 1.0
 
     @cached_property
     def alone(self) -> Array:
         """The covariance that independent errors give to what only one cluster determines."""
-        return np.asarray(np.sum([cluster.seen.alone @ cluster.seen.alone.T for cluster in self.clusters], axis=0))
+        return np.asarray(
+            np.sum([cluster.projected.alone @ cluster.projected.alone.T for cluster in self.clusters], axis=0)
+        )
 
     @cached_property
-    def shape(self) -> Array:
-        """What the covariance is shrunk towards: the target, scaled to the variance of each part."""
+    def shrinkage_target(self) -> Array:
+        """What W is shrunk towards: T, each part scaled to its variance in W by its factor."""
         scale = np.concatenate(
             [
                 np.full(part.stop - part.start, factor**0.5)
                 for part, factor in zip(self.parts, self.factors, strict=True)
             ]
         )
-        return np.asarray(self.target * scale * scale[:, None])
+        return np.asarray(self.expected * scale * scale[:, None])
 
     @cached_property
-    def share(self) -> float:
-        """Share of that shape in the covariance (Ledoit and Wolf 2004)."""
+    def shrinkage(self) -> float:
+        """Share of the shrinkage target, `min(1, (sum |z|^4 - |W|^2/m) / |W - target|^2)` (Ledoit and Wolf 2004)."""
         squares, m = np.array([cluster.change @ cluster.change for cluster in self.clusters]), len(self.clusters)
-        # sum over clusters of |z z' - S/m|^2, which is what the mean of so many outer products scatters by
+        # sum over clusters of |z z' - W/m|^2, the scatter of their outer products
         scatter = float((squares**2).sum() - (self.empirical**2).sum() / m)
-        apart = float(((self.empirical - self.shape) ** 2).sum())
-        return min(scatter / apart, 1.0) if apart > 0 else 1.0
+        distance = float(((self.empirical - self.shrinkage_target) ** 2).sum())
+        return min(scatter / distance, 1.0) if distance > 0 else 1.0
 
-    def coordinates(self) -> Array:
+    def of_coordinates(self) -> Array:
         """Return the covariance of the coordinates: shrunk, with the priors, and in no direction below 1."""
-        matrix = (1 - self.share) * self.empirical + self.share * self.shape + self.prior + self.of_own * self.alone
+        matrix = (
+            (1 - self.shrinkage) * self.empirical
+            + self.shrinkage * self.shrinkage_target
+            + self.prior
+            + self.own_factor * self.alone
+        )
         values, vectors = np.linalg.eigh(matrix)
         # 1 is the covariance for independent errors in these coordinates: no standard uncertainty falls below it
         return np.asarray((vectors * np.maximum(values, 1.0)) @ vectors.T)
 
     def of_shared(self) -> Array:
         """Return the covariance of the shared unknowns, (shared, shared)."""
-        return np.asarray(self.root @ self.coordinates() @ self.root.T)
+        return np.asarray(self.root @ self.of_coordinates() @ self.root.T)
 
     def covariance(self) -> Array:
         """Return the covariance of all unknowns, (unknowns, unknowns)."""
@@ -179,7 +191,7 @@ class ClusterSample:
         full[np.ix_(columns, common)], full[np.ix_(common, columns)] = mixed, mixed.T
         full[np.ix_(columns, columns)] = mixed @ by_shared.T
         for unknowns in self.own:
-            full[np.ix_(unknowns.columns, unknowns.columns)] += self.of_own * unknowns.noise
+            full[np.ix_(unknowns.columns, unknowns.columns)] += self.own_factor * unknowns.noise
         return (full + full.T) / 2
 
     def dof(self, columns: Index) -> Array:
@@ -204,11 +216,11 @@ class ClusterSample:
 
     def _dof(self, lines: Array, part: slice, factor: float) -> tuple[Array, float]:
         """Return the degrees of freedom of the variances along lines (coordinates, k), and of the factor of a part."""
-        # the form is sum z' K z over the changes z, with K = own l l' + rest E, E the coordinates of the part
-        trace = float(np.diag(self.target)[part].sum())
-        along = (lines * (self.target @ lines)).sum(axis=0)
-        own, rest = 1 - self.share, self.share * along / trace
-        pairs, lengths, norms = products(self.clusters, self.target + self.prior, lines, part)
+        # the form is sum z' M z over the changes z, with M = own l l' + rest E, E the coordinates of the part
+        trace = float(np.diag(self.expected)[part].sum())
+        along = (lines * (self.expected @ lines)).sum(axis=0)
+        own, rest = 1 - self.shrinkage, self.shrinkage * along / trace
+        pairs, lengths, norms = products(self.clusters, self.expected + self.prior, lines, part)
         variance = 2 * (own**2 * pairs + 2 * own * rest * lengths + rest**2 * norms)
         mean = factor * along + (lines * (self.prior @ lines)).sum(axis=0)
         return 2 * mean**2 / np.maximum(factor**2 * variance, _TINY), trace**2 / norms
@@ -217,8 +229,8 @@ class ClusterSample:
 def _root(white: Array, first: Mask) -> tuple[Array, tuple[slice, ...]]:
     """Return L, (shared, coordinates), with `L L'` the covariance of the shared unknowns for independent errors.
 
-    The first coordinates are those of the first unknowns (mask over the shared ones); the
-    further ones are what the others have besides. Return the slices of both, without empty ones.
+    The first coordinates are those of the first unknowns (mask over the shared ones); the further ones are what the
+    others have besides. Also returns the slices of both, without empty ones.
     """
     std = np.sqrt(np.diag(white))
     rest, roots, parts, place = white / std[:, None] / std, [], [], 0

@@ -78,9 +78,9 @@ class ActingDirections:
     """`t^2`, (k',)"""
 
     @classmethod
-    def of(cls, seen: ClusterDirections, first: slice) -> ActingDirections:
+    def of(cls, projected: ClusterDirections, first: slice) -> ActingDirections:
         """Return those of a cluster; `first` are the coordinates of the first unknowns."""
-        u, sizes, _ = thin_svd(seen.rows[:, first])
+        u, sizes, _ = thin_svd(projected.rows[:, first])
         strength = sizes**2
         return cls(u[:, strength > _NONE], strength[strength > _NONE])
 
@@ -97,37 +97,39 @@ class ClusterSpread:
     All matrices are by its directions v.
     """
 
-    seen: ClusterDirections
+    projected: ClusterDirections
     expected: Array
     """`u' Omega u`, (k, k)"""
     weight: Array
     """`A = Omega^1/2 (Omega^1/2 B Omega^1/2)^-1/2 Omega^1/2`, B the covariance of its residuals, (k, k)"""
 
     @classmethod
-    def of(cls, seen: ClusterDirections, expected: Array, root: Array, whole: Array) -> ClusterSpread:
+    def of(cls, projected: ClusterDirections, expected: Array, root: Array, whole: Array) -> ClusterSpread:
         """Return a cluster with `Omega` and its square root.
 
         `whole` is the covariance of the coordinates for the expected errors of all readings.
         """
-        square = seen.sizes**2
+        square = projected.sizes**2
         # cov(r) = Omega - F F' Omega - Omega F F' + F V F', in the directions u, in which F F' is diag(sizes^2)
-        of_residuals = expected - square[:, None] * expected - expected * square + seen.rows @ whole @ seen.rows.T
-        return cls(seen, expected, root @ _inverse_root(root @ of_residuals @ root) @ root)
+        of_residuals = (
+            expected - square[:, None] * expected - expected * square + projected.rows @ whole @ projected.rows.T
+        )
+        return cls(projected, expected, root @ _inverse_root(root @ of_residuals @ root) @ root)
 
     @cached_property
     def change(self) -> Array:
         """What its errors contribute to the coordinates, `F' A r`, (coordinates,)."""
-        return np.asarray(self.seen.rows.T @ (self.weight @ self.seen.residual))
+        return np.asarray(self.projected.rows.T @ (self.weight @ self.projected.residual))
 
     @cached_property
     def information(self) -> Array:
         """`F' Omega F`: the covariance of `change` for the expected errors."""
-        return np.asarray(self.seen.rows.T @ self.expected @ self.seen.rows)
+        return np.asarray(self.projected.rows.T @ self.expected @ self.projected.rows)
 
     @cached_property
     def levers(self) -> tuple[Array, Array]:
         """`x` and `y`, (k, k), with `F' A F = v x v'` and `F' A Omega F = v y v'`."""
-        sizes = self.seen.sizes
+        sizes = self.projected.sizes
         left = sizes[:, None] * self.weight
         return np.asarray(left * sizes), np.asarray(left @ self.expected * sizes)
 
@@ -163,7 +165,7 @@ def products(clusters: Sequence[ClusterSpread], whole: Array, lines: Array, part
     # a = R X, b = R P, y = R Y with P = X G - Y and R'R = v' E v, so that R C_cd R' = a_c b_d' - y_c a_d'
     x_lines, y_lines, a, b, y = [], [], [], [], []
     for cluster in clusters:
-        v, (x, by_errors) = cluster.seen.directions, cluster.levers
+        v, (x, by_errors) = cluster.projected.directions, cluster.levers
         inside = v.T @ lines
         x_lines.append(v @ (x @ inside))
         y_lines.append(v @ (by_errors.T @ inside))

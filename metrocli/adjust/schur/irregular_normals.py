@@ -1,5 +1,7 @@
 """Normal equations of readings in no regular order: products of each member's readings, all members at once.
 
+With J and K the derivatives of whitened readings v by a member's own s unknowns and by the `width` reduced ones,
+`D = J'J`, `B = J'K` and `N = K'K`, with the right sides J'v and K'v.
 Method: docs/algorithms/tiled-elimination.md.
 """
 
@@ -17,12 +19,12 @@ from metrocli.adjust.model.groups import LinearGroup, Touch
 from metrocli.adjust.schur.layout import Layout
 from metrocli.arrays import Array, Index, Mask
 
-FEW = 200
+MOST_DENSE = 200
 """Most columns whose matrices are dense, and whose products are formed for each member"""
 
 
 class OutsideTiles:
-    """Members whose readings are in no tile, so that nothing is kept of single readings."""
+    """Members whose readings are in no tile: what `EliminatedMembers` has of single readings is empty."""
 
     def covariance(self, reduced: Array) -> Array:
         """Return the covariance of each member, (members, s, s)."""
@@ -32,12 +34,12 @@ class OutsideTiles:
         """Return the covariance of each member (members, s, s), and no variances of single readings."""
         return self.covariance(reduced), ()
 
-    def with_readings(self, reduced: Array, chosen: Sequence[int]) -> Sequence[Array]:
-        """Return nothing."""
+    def cross_covariance(self, reduced: Array, chosen: Sequence[int]) -> Sequence[Array]:
+        """Return none: no group is in a tile."""
         return ()
 
-    def seen_by(self, fields: Array, chosen: Sequence[int]) -> Sequence[Array]:
-        """Return nothing."""
+    def reading_changes(self, fields: Array, chosen: Sequence[int]) -> Sequence[Array]:
+        """Return none: no group is in a tile."""
         return ()
 
 
@@ -53,11 +55,11 @@ class IrregularNormals(OutsideTiles):
     b: Array
     """B, (members, s, width)"""
     right: Array
-    """J' residual, (members, s)"""
+    """J'v, (members, s)"""
     n: Array
     """N, of the reduced unknowns, (width, width)"""
     right_r: Array
-    """K' residual, (width,)"""
+    """K'v, (width,)"""
 
     @cached_property
     def _both(self) -> Array:
@@ -79,7 +81,7 @@ class IrregularNormals(OutsideTiles):
 
     @cached_property
     def reduced(self) -> tuple[Array, Array, float]:
-        """Contribution to the reduced system: its matrix, its right side, and the decrease by the members alone."""
+        """Contribution to the reduced system: `N - B' D^-1 B`, `K'v - B' D^-1 J'v`, and `v'J D^-1 J'v`."""
         flat, weights = (x.reshape(self.right.size, len(self.n)) for x in (self.b, self._weights))
         alone = float(np.vdot(self.right, self._solved)) if self.d.size else 0.0
         return self.n - flat.T @ weights, self.right_r - weights.T @ self.right.ravel(), alone
@@ -90,7 +92,7 @@ class IrregularNormals(OutsideTiles):
         return np.diag(self.n)
 
     def back(self, step: Array) -> Array:
-        """Return the members' step, `D^-1 (right - B step)`, (members, s)."""
+        """Return the members' step, `D^-1 (J'v - B step)`, (members, s)."""
         if not self.d.size:
             return self.right
         return self._solved - self._weights @ step
@@ -150,7 +152,29 @@ class NormalSums:
 
     def add(self, linear: LinearGroup, blocks: Mapping[str, Block], layout: Layout) -> None:
         """Add the readings of a group."""
-        _add(self, _SortedDerivatives.of(linear, blocks, layout))
+        parts = _SortedDerivatives.of(linear, blocks, layout)
+        s, places = parts.size_e, parts.places
+        d, c, n = parts.dense.shape
+        if not n:
+            return
+        # readings first, so that all of one member are adjacent for the products
+        rows = np.ascontiguousarray(parts.dense.reshape(d * c, n).T).reshape(n, d, c)
+        flat = rows.reshape(n * d, c)
+        if parts.index_e is None:
+            gram = flat.T @ flat
+        else:
+            first, used = parts.used_members()
+            # of many shared columns the products are not needed for each member, which would take more memory than time
+            wide = c > MOST_DENSE
+            each = grams(rows, parts.index_e - first, used.stop - first, s if wide else c)
+            self.d[used] += each[:, :s, :s]
+            self.right_e[used] += each[:, :s, -1]
+            self.b[used, :, places] += each[:, :s, s:-1]
+            gram = (flat.T @ flat)[s:, s:] if wide else each[:, s:, s:].sum(axis=0)
+        self.n[np.ix_(places, places)] += gram[:-1, :-1]
+        self.right_r[places] += gram[:-1, -1]
+        if parts.scattered:
+            _add_scattered(self, parts, rows)
 
     def normals(self, free: Mask) -> IrregularNormals:
         """Return the normal equations, with 1 on the diagonal of fixed entries."""
@@ -170,19 +194,19 @@ class _SortedDerivatives:
     size_e: int
     places: Index
     """Reduced columns of the blocks of one member"""
-    several: tuple[tuple[Touch, Index], ...]
-    """Derivatives by other blocks of many members, with their reduced columns (members, size)"""
+    scattered: tuple[tuple[Touch, Index], ...]
+    """Derivatives by blocks of many members, of which a reading uses one, with their reduced columns (members, size)"""
 
     @staticmethod
     def of(linear: LinearGroup, blocks: Mapping[str, Block], layout: Layout) -> _SortedDerivatives:
-        index_e, size_e, several = None, 0, []
+        index_e, size_e, scattered = None, 0, []
         dense: list[Array] = []
         places: list[Index] = []
         # a reading that uses two members of the block touches it twice; these stay in the reduced system as tied ones
         alone = sum(touch.block == layout.eliminated for touch in linear.touches) == 1
         for touch in linear.touches:
             if touch.block == layout.eliminated and len(layout.tied):
-                several.append((touch, layout.columns[touch.block]))
+                scattered.append((touch, layout.columns[touch.block]))
             if touch.block == layout.eliminated and alone:
                 free = layout.alone(blocks[touch.block])
                 mask = free.T[:, touch.index] if not free.all() else 1.0
@@ -195,48 +219,23 @@ class _SortedDerivatives:
                 dense.append(touch.jacobian[:, columns >= 0])
                 places.append(columns[columns >= 0])
             else:
-                several.append((touch, layout.columns[touch.block]))
+                scattered.append((touch, layout.columns[touch.block]))
         stacked = np.concatenate([*dense, linear.residual[:, None, :]], axis=1)
-        return _SortedDerivatives(
-            index_e, stacked, size_e, np.concatenate([*places, np.zeros(0, dtype=np.intp)]), tuple(several)
-        )
+        every_place = np.concatenate([*places, np.zeros(0, dtype=np.intp)])
+        return _SortedDerivatives(index_e, stacked, size_e, every_place, tuple(scattered))
 
-    def members(self) -> tuple[int, slice]:
-        """Return the first of the eliminated members that these readings use, and all from it to the last."""
+    def used_members(self) -> tuple[int, slice]:
+        """Return the first eliminated member that these readings use, and the slice from it to the last."""
         index = np.zeros(1, dtype=np.intp) if self.index_e is None else self.index_e
         first, last = int(index.min()), int(index.max())
         return first, slice(first, last + 1)
 
 
-def _add(sums: NormalSums, parts: _SortedDerivatives) -> None:
-    s, places = parts.size_e, parts.places
-    d, c, n = parts.dense.shape
-    if not n:
-        return
-    # readings first, so that all of one member are adjacent for the products
-    rows = np.ascontiguousarray(parts.dense.reshape(d * c, n).T).reshape(n, d, c)
-    flat = rows.reshape(n * d, c)
-    if parts.index_e is None:
-        gram = flat.T @ flat
-    else:
-        first, some = parts.members()
-        # of many shared columns the products are not needed for each member, which would take more memory than time
-        wide = c > FEW
-        each = grams(rows, parts.index_e - first, some.stop - first, s if wide else c)
-        sums.d[some] += each[:, :s, :s]
-        sums.right_e[some] += each[:, :s, -1]
-        sums.b[some, :, places] += each[:, :s, s:-1]
-        gram = (flat.T @ flat)[s:, s:] if wide else each[:, s:, s:].sum(axis=0)
-    sums.n[np.ix_(places, places)] += gram[:-1, :-1]
-    sums.right_r[places] += gram[:-1, -1]
-    if parts.several:
-        _add_several(sums, parts, rows)
-
-
 def grams(rows: Array, index: Index, members: int, own: int) -> Array:
-    """Return `A'A` for the readings of each member, rows A (n, d, c) -> (members, own, c): that of its first columns.
+    """Return the first `own` rows of `A'A` for the readings A of each member: (n, d, c) -> (members, own, c).
 
-    Members with similar numbers of readings are padded to one length and multiplied together.
+    `index` (n,) is the member of each reading. Members with similar numbers of readings are padded to one length, and
+    multiplied together.
     """
     n, d, c = rows.shape
     counts = np.bincount(index, minlength=members)
@@ -260,15 +259,15 @@ def grams(rows: Array, index: Index, members: int, own: int) -> Array:
     return sums
 
 
-def _add_several(sums: NormalSums, parts: _SortedDerivatives, rows: Array) -> None:
+def _add_scattered(sums: NormalSums, parts: _SortedDerivatives, rows: Array) -> None:
     (n, d, _), s, width = rows.shape, parts.size_e, len(sums.n)
     values, columns = [], []
-    for touch, places in parts.several:
+    for touch, places in parts.scattered:
         place = places[touch.index]
         values.append(np.moveaxis(touch.jacobian, -1, 0) * (place >= 0)[:, None, :])
         columns.append(np.broadcast_to(np.maximum(place, 0)[:, None, :], values[-1].shape))
     value, column = np.concatenate(values, axis=2), np.concatenate(columns, axis=2)
-    matrix, gram = (_dense if width <= FEW else _sparse)(value, column, width)
+    matrix, gram = (_dense if width <= MOST_DENSE else _sparse)(value, column, width)
     sums.n += gram
     cross = matrix.T @ rows.reshape(n * d, -1)[:, s:]
     sums.n[:, parts.places] += cross[:, :-1]
@@ -276,11 +275,11 @@ def _add_several(sums: NormalSums, parts: _SortedDerivatives, rows: Array) -> No
     sums.right_r += cross[:, -1]
     if parts.index_e is not None:
         product = np.einsum("nda,ndb->nab", rows[:, :, :s], value)
-        first, some = parts.members()
+        first, used = parts.used_members()
         # index of (member, own unknown, column) in the flat b of these members; fixed entries add 0 at column 0
         place = ((parts.index_e - first)[:, None, None] * s + np.arange(s)[:, None]) * width + column[:, :1, :]
-        among = sums.b[some]
-        among += np.bincount(place.ravel(), product.ravel(), minlength=among.size).reshape(among.shape)
+        b = sums.b[used]  # a view, so that the sums grow
+        b += np.bincount(place.ravel(), product.ravel(), minlength=b.size).reshape(b.shape)
 
 
 def _dense(value: Array, column: Index, width: int) -> tuple[Array, Array]:

@@ -103,7 +103,7 @@ class MemberCovariance:
         """
         return self._read(place, shape, lambda i, j: self._adjusted[1][i][j])
 
-    def with_readings(self, place: int, shape: tuple[int, int]) -> Array:
+    def cross_covariance(self, place: int, shape: tuple[int, int]) -> Array:
         """Return `Q_e. J'`, the covariance of a reading's member with the reading itself as adjusted, (s, d, n).
 
         J are the derivatives of the whitened reading by all unknowns. The group at `place` must be in tiles.
@@ -112,10 +112,10 @@ class MemberCovariance:
         # not strict: behind the tiles the parts hold the readings in no order, and tied members, which have no tile
         for part, tile in zip(self.parts, self.tiles, strict=False):
             chosen = [j for j, piece in enumerate(tile.pieces) if piece.place == place]
-            variances = part.with_readings(self.reduced, chosen)
+            variances = part.cross_covariance(self.reduced, chosen)
             if self.gauge is not None:
                 # the other terms of the gauge are movements times J, which no reading sees
-                moves, seen = self.gauge.moves_of(part.members), part.seen_by(self.gauge.share_of(part), chosen)
+                moves, seen = self.gauge.moves_of(part.members), part.reading_changes(self.gauge.share_of(part), chosen)
                 variances = [q - np.einsum("ksf,fdmk->sdmk", moves, h) for q, h in zip(variances, seen, strict=True)]
             for j, values in zip(chosen, variances, strict=True):
                 full[:, :, tile.pieces[j].rows] = values.reshape(*values.shape[:2], -1)

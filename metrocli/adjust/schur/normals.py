@@ -63,13 +63,13 @@ class EliminatedMembers(Protocol):
     def adjusted(self, reduced: Array) -> tuple[Array, tuple[Array, ...]]:
         """Return what `covariance` returns and, for each group of a tile, the variance of its adjusted readings."""
 
-    def with_readings(self, reduced: Array, chosen: Sequence[int]) -> Sequence[Array]:
+    def cross_covariance(self, reduced: Array, chosen: Sequence[int]) -> Sequence[Array]:
         """Return the members' covariance with the adjusted readings of chosen groups of a tile, each (s, d, m, k).
 
         `reduced` (width, width) is the covariance of the reduced unknowns.
         """
 
-    def seen_by(self, fields: Array, chosen: Sequence[int]) -> Sequence[Array]:
+    def reading_changes(self, fields: Array, chosen: Sequence[int]) -> Sequence[Array]:
         """Return `H' J'` of fields H (k, s, f) for the readings of chosen groups of a tile, each (f, d, m, k)."""
 
     def solved(self, fields: Array) -> Array:

@@ -35,20 +35,20 @@ class OtherBlock:
 
 @dataclass(frozen=True)
 class TileRows:
-    """The linearised, whitened readings of one group in a tile: m readings of d components for each of k members."""
+    """The linearised, whitened readings of one group in a tile: `v = residual - J own_step - K reduced_step`."""
 
     own: Array
     """Derivatives by the members' own unknowns (J), (d, s, m, k), zero at fixed entries"""
     residual: Array
     """(d, m, k)"""
-    beside: tuple[OtherBlock, ...]
+    others: tuple[OtherBlock, ...]
     """Derivatives by the other blocks (K)"""
 
     @staticmethod
     def of(linear: LinearGroup, members: Index | slice, blocks: Mapping[str, Block], layout: Layout) -> TileRows:
         """Return the rows of `members` of the eliminated block, from a group linearised in the order of a lattice."""
         d, k = len(linear.residual), len(blocks[layout.eliminated or ""].free[members])
-        beside: list[OtherBlock] = []
+        others: list[OtherBlock] = []
         own = np.zeros(0)
         for touch in linear.touches:
             jacobian = touch.jacobian.reshape(d, touch.jacobian.shape[1], -1, k)
@@ -57,8 +57,8 @@ class TileRows:
                 own = jacobian if block.all_free else jacobian * block.free[members].T[:, None, :]
             else:
                 places = layout.columns[touch.block]
-                beside.append(OtherBlock(jacobian, places[touch.index]))
-        return TileRows(own, linear.residual.reshape(d, -1, k), tuple(beside))
+                others.append(OtherBlock(jacobian, places[touch.index]))
+        return TileRows(own, linear.residual.reshape(d, -1, k), tuple(others))
 
 
 def flattened(rows: Array) -> Array:
@@ -78,7 +78,9 @@ def times_covariance(rows: Array, places: Index, reduced: Array) -> Array:
 
 
 def products_by_member(first: Array, second: Array, symmetric: bool = False) -> Array:
-    """Return the sum over the rows of first (rows, a, k) times second (rows, b, k), (a, b, k); symmetric if said so."""
+    """Return the sum over the rows of first (rows, a, k) times second (rows, b, k), (a, b, k).
+
+    Of a `symmetric` result half is computed."""
     result = np.empty((first.shape[1], *second.shape[1:]))
     for a in range(first.shape[1]):
         for b in range(a + 1 if symmetric else second.shape[1]):
@@ -96,7 +98,7 @@ def propagated(coupled: tuple[Array, Index], reduced: Array) -> tuple[Array, Arr
 
 
 def by_slot(jacobian: Array, slots: int) -> Array:
-    """Return derivatives as matrices that can be multiplied, (slots, size, d m k / slots)."""
+    """Return derivatives as one matrix for each slot, or one for all of them: (slots, size, d m k / slots)."""
     d, size, m, k = jacobian.shape
     if slots == m:
         return jacobian.transpose(2, 1, 0, 3).reshape(m, size, d * k)
@@ -104,12 +106,12 @@ def by_slot(jacobian: Array, slots: int) -> Array:
 
 
 def add_products(part: TileRows, matrix: Array, right: Array) -> None:
-    """Add `K'K` and `K' residual` of one group."""
-    for i, block in enumerate(part.beside):
+    """Add `K'K` and `K'v` of one group to a matrix and a right side with a place for fixed unknowns at their end."""
+    for i, block in enumerate(part.others):
         first, residual = (by_slot(x, len(block.places)) for x in (block.jacobian, part.residual[:, None]))
         # slots can use the same member, and places of fixed unknowns (-1) all meet in the extra column
         np.add.at(right, block.places, (first @ residual.swapaxes(1, 2))[:, :, 0])
-        for other in part.beside[: i + 1]:
+        for other in part.others[: i + 1]:
             slots = max(len(block.places), len(other.places))
             left = by_slot(block.jacobian, slots)
             gram = left @ (left if other is block else by_slot(other.jacobian, slots)).swapaxes(1, 2)
@@ -119,7 +121,7 @@ def add_products(part: TileRows, matrix: Array, right: Array) -> None:
 
 
 def adjusted_variance(first: OtherBlock, second: OtherBlock, reduced: Array) -> Array:
-    """Return the diagonal of `K Q K'` for the derivatives K by two blocks, (d, m, k)."""
+    """Return `diag(K1 Q12 K2')` for the derivatives by two blocks, (d, m, k): their part of `diag(K Q K')`."""
     d, _, m, k = first.jacobian.shape
     total = np.zeros((d, m, k))
     rows = np.broadcast_to(first.places, (m, first.places.shape[1]))

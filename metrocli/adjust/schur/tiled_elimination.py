@@ -83,19 +83,19 @@ class EliminatedTile:
 
     def _combined(self, w: int, weights: Sequence[Array]) -> tuple[Array, Index]:
         """Return the sums over the readings of weights (w, d, m, k) times K, (rows, w, k), and the columns (rows,)."""
-        pairs = [(weight, beside) for weight, part in zip(weights, self.rows, strict=True) for beside in part.beside]
-        places = [beside.places.ravel() for _, beside in pairs]
+        pairs = [(weight, other) for weight, part in zip(weights, self.rows, strict=True) for other in part.others]
+        places = [other.places.ravel() for _, other in pairs]
         rows = np.empty((sum(len(place) for place in places), w, self.free.shape[1]))
         at = 0
-        for weight, beside in pairs:
+        for weight, other in pairs:
             # a view into `rows`: the products are written where they are needed
-            out = rows[at : at + beside.places.size].reshape(*beside.places.shape, *rows.shape[1:])
-            at += beside.places.size
+            out = rows[at : at + other.places.size].reshape(*other.places.shape, *rows.shape[1:])
+            at += other.places.size
             # all slots use the one member: its sum over the slots is one row, not one row for each
-            if len(out) == 1 < beside.jacobian.shape[2]:
-                np.einsum("admk,dcmk->cak", weight, beside.jacobian, out=out[0])
+            if len(out) == 1 < other.jacobian.shape[2]:
+                np.einsum("admk,dcmk->cak", weight, other.jacobian, out=out[0])
                 continue
-            first, second = weight.transpose(1, 2, 0, 3), beside.jacobian.swapaxes(1, 2)
+            first, second = weight.transpose(1, 2, 0, 3), other.jacobian.swapaxes(1, 2)
             np.multiply(first[0][:, None], second[0][:, :, None], out=out)
             for d in range(1, len(first)):
                 out += first[d][:, None] * second[d][:, :, None]
@@ -156,18 +156,18 @@ class EliminatedTile:
         """The diagonal of `K'K`, (width,)."""
         diagonal = np.zeros(self.width + 1)
         for part in self.rows:
-            for beside in part.beside:
-                squares = np.einsum("dcmk,dcmk->mc", beside.jacobian, beside.jacobian)
-                shared = len(beside.places) < len(squares)
-                np.add.at(diagonal, beside.places, squares.sum(axis=0, keepdims=True) if shared else squares)
+            for other in part.others:
+                squares = np.einsum("dcmk,dcmk->mc", other.jacobian, other.jacobian)
+                shared = len(other.places) < len(squares)
+                np.add.at(diagonal, other.places, squares.sum(axis=0, keepdims=True) if shared else squares)
         return diagonal[:-1]
 
     def back(self, step: Array) -> Array:
         """Return the members' step, `D^-1 J' (residual - K step)`, (k, s)."""
         right, full = self.right.copy(), np.append(step, 0.0)
         for part in self.rows:
-            for beside in part.beside:
-                seen = beside.along(full)
+            for other in part.others:
+                seen = other.along(full)
                 for a in range(len(right)):
                     right[a] -= np.einsum("dmk,dmk->k", part.own[:, a], seen)
         return self.backward(self.forward(right)).T
@@ -233,37 +233,37 @@ class EliminatedTile:
         explained = self._left(reduced) if self._few else self._explained(own, product, between, with_zeros(reduced))
         return self._covariance(between), tuple(part.reshape(len(part), -1) for part in explained)
 
-    def with_readings(self, reduced: Array, chosen: Sequence[int]) -> list[Array]:
+    def cross_covariance(self, reduced: Array, chosen: Sequence[int]) -> list[Array]:
         """Return the covariance of the members with the adjusted readings of chosen groups, each (s, d, m, k).
 
         It is `Q_ee J' + Q_er K' = L'^-1 (U + Y Q Y' U - Y Q K')`, with Q = `reduced`. With few readings per member,
         `K' = Y'U + X'Z'` leaves `L'^-1 (U - Y Q X' Z')`, with `X = Z'K`.
         """
         if self._few:
-            return self._with_few_readings(reduced, chosen)
+            return self._cross_covariance_of_few(reduced, chosen)
         own = [self.whitened(part) for part in self.rows]
         product, between = propagated(self._combined(len(self.free), own), reduced)
         parts, at = [], 0
         for i, (part, u) in enumerate(zip(self.rows, own, strict=True)):
             total = u + np.einsum("abk,bdmk->admk", between, u) if i in chosen else None
-            for beside in part.beside:
-                mine = product[at : at + beside.places.size].reshape(*beside.places.shape, *product.shape[1:])
-                at += beside.places.size
+            for other in part.others:
+                mine = product[at : at + other.places.size].reshape(*other.places.shape, *product.shape[1:])
+                at += other.places.size
                 if total is not None:
                     mine = np.broadcast_to(mine, (u.shape[2], *mine.shape[1:]))
-                    total -= np.einsum("mcak,dcmk->admk", mine, beside.jacobian)
+                    total -= np.einsum("mcak,dcmk->admk", mine, other.jacobian)
             if total is not None:
                 parts.append(self.backward(total))
         return parts
 
-    def _with_few_readings(self, reduced: Array, chosen: Sequence[int]) -> list[Array]:
+    def _cross_covariance_of_few(self, reduced: Array, chosen: Sequence[int]) -> list[Array]:
         spare = self._spare()
         own = [self.whitened(part) for part in self.rows]
         (y, places), (x, _) = self._combined(len(self.free), own), self._combined(len(spare[0]), spare)
         between = products_by_member(y, times_covariance(x, places, reduced))
         return [self.backward(own[i] - np.einsum("aqk,qdmk->admk", between, spare[i])) for i in chosen]
 
-    def seen_by(self, fields: Array, chosen: Sequence[int]) -> list[Array]:
+    def reading_changes(self, fields: Array, chosen: Sequence[int]) -> list[Array]:
         """Return `H' J'` of fields H (k, s, f) for the readings of chosen groups, each (f, d, m, k)."""
         return [np.einsum("ksf,dsmk->fdmk", fields, self.rows[i].own) for i in chosen]
 
@@ -285,16 +285,16 @@ class EliminatedTile:
             total = np.einsum("admk,admk->dmk", u, u)
             for a in range(len(u)):
                 total += np.einsum("dmk,bdmk,bk->dmk", u[a], u, between[a])
-            for beside in part.beside:
-                slots, size = beside.places.shape
+            for other in part.others:
+                slots, size = other.places.shape
                 mine = product[at : at + slots * size].reshape(slots, size, len(u), -1)
                 mine = np.broadcast_to(mine, (u.shape[2], *mine.shape[1:]))
                 at += slots * size
                 for c in range(size):
                     along = np.einsum("admk,mak->dmk", u, mine[:, c])
-                    total -= 2 * along * beside.jacobian[:, c]
-            for first in part.beside:
-                for second in part.beside:
+                    total -= 2 * along * other.jacobian[:, c]
+            for first in part.others:
+                for second in part.others:
                     total += adjusted_variance(first, second, reduced)
             parts.append(total)
         return parts

@@ -218,8 +218,8 @@ def _about(finding: Finding) -> Iterator[str]:
             values = ", ".join(f"{value:.6g}" for value, _ in others) + (", ..." if len(others) >= STARTS - 1 else "")
             odds = f"(odds from {min(odds for _, odds in others):.2g})"
             yield f"  {scanned.name} {values} {scanned.unit} fits as well {odds}: the readings are spaced too evenly"
-    if name.held:
-        yield f"  not determined separately, taken as 0: {', '.join(name.held)}"
+    if name.taken_as_zero:
+        yield f"  not determined separately, taken as 0: {', '.join(name.taken_as_zero)}"
         yield f"  to determine them: {name.alternative.effect.reveal}"
     if finding.other_shape_from < 1:
         share = units.two_digits(100 * finding.other_shape_from)

@@ -14,24 +14,26 @@ from metrocli.project.until_clean import Extension, Loop
 _HEAD = ("step", "added", "chance", "chi2", "dof", "held-out error", "changes result by")
 
 
-def of_loop(loop: Loop) -> str:
+def loop_text(loop: Loop) -> str:
     """Return the last verdict, the table of steps, and the end of the loop in a sentence."""
     rows = [_row(number, extension, loop.first) for number, extension in enumerate(loop.extensions, 1)]
     table = "\n".join(text_table(_HEAD, rows)) if rows else ""
     jobs = "\n".join(f"  {extension.job} -> {extension.done.path}" for extension in loop.extensions)
-    left = f"; found so far, and not added: {', '.join(loop.pending)}" if loop.pending else ""
-    return "\n\n".join(filter(None, (f"verdict: {headline(loop.last)}", table, jobs, f"ended: {loop.end}{left}")))
+    pending = f"; found so far, and not added: {', '.join(loop.pending)}" if loop.pending else ""
+    return "\n\n".join(filter(None, (f"verdict: {headline(loop.last)}", table, jobs, f"ended: {loop.end}{pending}")))
 
 
 def _row(number: int, extension: Extension, first: Diagnosis) -> tuple[str, ...]:
+    """Return the cells of a step, in the order of `_HEAD`; sizes in the units of the first diagnosis."""
     job, statistics = first.job, extension.done.result.statistics
-    error = " to ".join(units.sized(size, job.reading[1]) for size in (extension.before, extension.after))
+    held_out = " to ".join(units.sized(size, job.reading[1]) for size in (extension.before, extension.after))
     shift = "" if extension.shift is None else units.sized(extension.shift, job.delivered.dimension)
     chance = "p < 1e-12" if extension.p_value < 1e-12 else f"p = {extension.p_value:.2g}"
     chi2, dof = (f"{statistics[name]:.4g}" if name in statistics else "" for name in ("chi2", "dof"))
     if statistics.get("noise_estimated") and "noise_factor" not in statistics:
-        chi2 = "noise found"  # it is that of unit weights, and not to be compared
-    return str(number), ", ".join(extension.added), chance, chi2, dof, error, shift
+        # with unit weights chi2 is a sum of squares in the unit of the readings: no test compares it
+        chi2 = "noise found"
+    return str(number), ", ".join(extension.added), chance, chi2, dof, held_out, shift
 
 
 def loop_data(loop: Loop) -> dict[str, Any]:

@@ -1,5 +1,6 @@
 """The commands that show a result as a picture or as a page, or beside other results.
 
-`opened` opens results and reports those not fit for use; `beside` finds what belongs to one (diagnosis, lineage);
-`inches` changes what is printed, never the file; `requirement` gives the exit code of a condition.
+`opened` opens results, reports those not fit for use, and has `--require`, which gives the exit code. A command each:
+`plot` (finds diagnosis, earlier result and lineage of a result), `report` (pages with these), `verify`, and `compare`,
+with `repeated` for three results or more. `inches` changes what is printed, never the file.
 """

@@ -24,7 +24,7 @@ def in_inches(result: Result) -> Result:
     return replace(
         result,
         estimates=tuple(map(_estimate, result.estimates)),
-        details={name: _expanded(held) if name in lengths else held for name, held in result.details.items()},
+        details={name: _details(own) if name in lengths else own for name, own in result.details.items()},
         tables={name: _table(table) for name, table in result.tables.items()},
         statistics={name: _figures(value) for name, value in result.statistics.items()},
     )
@@ -46,14 +46,16 @@ def _estimate(estimate: Estimate) -> Estimate:
     return replace(estimate, value=estimate.value / INCH, std=estimate.std / INCH, unit=_SYMBOL, dimension="")
 
 
-def _expanded(details: Mapping[str, Any]) -> Mapping[str, Any]:
+def _details(details: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return the details of a length: of these only the expanded uncertainty U has its unit."""
     return {**details, "U": details["U"] / INCH} if "U" in details else details
 
 
 def _figures(value: Any) -> Any:
+    """Return a statistic; those by unit, such as the RMS {"mm": 0.01}, have inches for mm, at the same place."""
     if not isinstance(value, Mapping) or "mm" not in value:
         return value
-    return {_SYMBOL if unit == "mm" else unit: entry / INCH if unit == "mm" else entry for unit, entry in value.items()}
+    return dict((_SYMBOL, figure / INCH) if unit == "mm" else (unit, figure) for unit, figure in value.items())
 
 
 def _table(table: Table) -> Table:

@@ -18,7 +18,7 @@ from metrocli.project import DIAGNOSIS
 from metrocli.record import DONE
 
 if TYPE_CHECKING:
-    from metrocli.plots.beside import Beside, LineageFile
+    from metrocli.plots.context import LineageFile, ResultContext
     from metrocli.project.provenance.lineage import Origin
     from metrocli.record import Record
     from metrocli.report.html import PrintedDiagnosis
@@ -50,22 +50,22 @@ def command(result: Path, name: str | None, save: Path | None, as_json: bool, **
     if given is not None and diagnosis is not None and not diagnosis.is_current:
         hint = "diagnose the job of this result again"
         raise InputError([Fault("this is the diagnosis of another job, or of other inputs", str(given), hint=hint)])
-    beside = beside_of(result, diagnosis, flags["before"])
+    context = context_of(result, diagnosis, flags["before"])
     if name is None:
         if save is not None:
             raise UsageError("--save needs the name of a figure; without a name and --save, plot lists them")
-        return _print_names(stored, beside, as_json)
+        return _print_names(stored, context, as_json)
     path = save or result.with_name(f"{result.stem}.{name}.svg")
-    data = _figure_data(stored, name, path, beside, flags["dark"])
+    data = _figure_data(stored, name, path, context, flags["dark"])
     refuse_inputs([path], (result, *record.files(result)))
     return print_files(write_all({path: data}, flags["force"]), as_json, flags["quiet"])
 
 
-def _print_names(result: Result, beside: Beside, as_json: bool) -> int:
+def _print_names(result: Result, context: ResultContext, as_json: bool) -> int:
     """Print the names of the figures that a result can show; return 0."""
     from metrocli import plots
 
-    summaries = {figure: plots.FIGURES[figure].summary for figure in plots.names_of(result, beside)}
+    summaries = {figure: plots.FIGURES[figure].summary for figure in plots.names_of(result, context)}
     if as_json:
         echo_json({"figures": summaries})
         return 0
@@ -75,14 +75,14 @@ def _print_names(result: Result, beside: Beside, as_json: bool) -> int:
     return 0
 
 
-def _figure_data(result: Result, name: str, path: Path, beside: Beside, dark: bool) -> bytes:
+def _figure_data(result: Result, name: str, path: Path, context: ResultContext, dark: bool) -> bytes:
     """Return the figure for a path, in the format that its ending names."""
     from metrocli import plots
 
-    plots.check(result, name, path, beside)
+    plots.check(result, name, path, context)
     with TemporaryDirectory() as folder:
         figure = Path(folder) / "figure"
-        plots.save(result, name, figure, path.suffix, dark, beside)
+        plots.save(result, name, figure, path.suffix, dark, context)
         return figure.read_bytes()
 
 
@@ -110,16 +110,16 @@ def diagnosis_of(result: Path, given: Path | None, record: Record) -> PrintedDia
     return PrintedDiagnosis(data, str(path), data.get("of") == of_diagnosed(record.job_text, record.inputs))
 
 
-def beside_of(result: Path, diagnosis: PrintedDiagnosis | None, before: Path | None = None) -> Beside:
+def context_of(result: Path, diagnosis: PrintedDiagnosis | None, before: Path | None = None) -> ResultContext:
     """Return what figures show beside a result: the diagnosis if it is of this job, the earlier result, the lineage.
 
     Without `before` the earlier result is NAME.h5 beside NAME.extended.h5, if it can be read.
     """
-    from metrocli.plots.beside import Beside
+    from metrocli.plots.context import ResultContext
     from metrocli.project.provenance.lineage import shortened, trace
 
     data = diagnosis.data if diagnosis is not None and diagnosis.is_current else None
-    return Beside(data, _before(result, before), tuple(_nodes(shortened(trace(result)))))
+    return ResultContext(data, _before(result, before), tuple(_nodes(shortened(trace(result)))))
 
 
 def _before(result: Path, given: Path | None) -> Result | None:
@@ -149,7 +149,7 @@ def _earlier(result: Path) -> Path | None:
 
 def _nodes(origin: Origin) -> list[LineageFile]:
     """Return the files of a lineage, each once, by their paths from the folder above that of the result."""
-    from metrocli.plots.beside import LineageFile
+    from metrocli.plots.context import LineageFile
     from metrocli.project.provenance.lineage import AS_READ, files_of, name_from
 
     home = origin.path.parent.parent

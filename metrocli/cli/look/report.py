@@ -13,7 +13,7 @@ import click
 
 from metrocli.cli import options
 from metrocli.cli.console import Console, print_files
-from metrocli.cli.look.plot import beside_of, diagnosis_of
+from metrocli.cli.look.plot import context_of, diagnosis_of
 from metrocli.errors import InputError, UsageError
 from metrocli.project import PROJECT_FILE
 
@@ -117,7 +117,7 @@ def _page(result: Path, given: Path | None, home: Path, units: str, name: str = 
     job = name or (_from(home, result.parent / record.job_file) if record.job_file else "JOB.yaml")
     record = with_standards(result, record)
     return result_page(
-        Content(stored, record, _from(home, result), tables, diagnosis, job, beside_of(result, diagnosis), stated)
+        Content(stored, record, _from(home, result), tables, diagnosis, job, context_of(result, diagnosis), stated)
     )
 
 

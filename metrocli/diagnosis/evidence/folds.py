@@ -16,7 +16,7 @@ import numpy as np
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Mask
 from metrocli.diagnosis.adjusted_job import Ordered
-from metrocli.diagnosis.evidence.gain import Gain, Held, gain_of
+from metrocli.diagnosis.evidence.gain import FoldPrediction, Gain, gain_of
 from metrocli.diagnosis.evidence.held_out import Others, fold_numbers
 from metrocli.diagnosis.evidence.identified import IdentifiedEffect, all_identified
 from metrocli.diagnosis.evidence.likelihood import Fit
@@ -60,7 +60,7 @@ class _Nested:
     names: tuple[IdentifiedEffect, ...]
     nested: bool
 
-    def __call__(self, number: int) -> list[tuple[Held, Held]]:
+    def __call__(self, number: int) -> list[tuple[FoldPrediction, FoldPrediction]]:
         """Return the predictions of a fold without and with each effect, and all of them."""
         state = self.state
         whole = Others.of_fold(state, number)
@@ -71,7 +71,7 @@ class _Nested:
         # wrong readings, and what has no known cause: waves, and the terms of a law
         beside = [part for part in state.fixed if part.sort != EFFECT]
 
-        def with_parts(parts: Mapping[Key, Fixed]) -> Held:
+        def with_parts(parts: Mapping[Key, Fixed]) -> FoldPrediction:
             # two names can have the same rival
             distinct = {part.key: part for part in parts.values()}
             return whole.with_fixed((*distinct.values(), *beside)).predicted()
@@ -135,9 +135,9 @@ def gain_of_parts(state: State, parts: Sequence[Fixed | Random]) -> Gain:
     """Return the gain of some parts of a state, at the sizes with and without them, computed once."""
     # parts are compared by identity: the state holds them, so that their numbers stay theirs as long as the cache lives
     key = ("gain", *map(id, parts))
-    if key not in state.held:
-        state.held[key] = gain_between(state.minus(parts), state)
-    return cast("Gain", state.held[key])
+    if key not in state.cache:
+        state.cache[key] = gain_between(state.minus(parts), state)
+    return cast("Gain", state.cache[key])
 
 
 def gain_between(before: State, after: State) -> Gain:

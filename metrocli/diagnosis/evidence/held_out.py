@@ -17,7 +17,7 @@ import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index, Mask
-from metrocli.diagnosis.evidence.gain import Held
+from metrocli.diagnosis.evidence.gain import FoldPrediction
 from metrocli.diagnosis.evidence.likelihood import Fit, fit_at
 from metrocli.diagnosis.evidence.measurement import Measurement
 from metrocli.diagnosis.evidence.parts import Fixed
@@ -116,7 +116,7 @@ class Others:
     """The columns of the products that are kept"""
     fit: Fit
     """Of the readings that are not held out"""
-    held: dict[object, Any] = field(default_factory=dict, compare=False, repr=False)
+    cache: dict[object, Any] = field(default_factory=dict, compare=False, repr=False)
     """Cache of products with candidates"""
 
     @classmethod
@@ -135,11 +135,11 @@ class Others:
     def of_fold(cls, state: State, number: int) -> Others:
         """Return them for a fold by its number, computed once for a state of few columns."""
         fold, key = Fold(state.measurement, np.flatnonzero(folds_of(state.measurement) == number)), ("others", number)
-        others = state.held.get(key) or cls.of(fold, state)
+        others = state.cache.get(key) or cls.of(fold, state)
         if others.without.shared.size + others.fit.lower.size < _MOST_HELD:
-            state.held[key] = others
+            state.cache[key] = others
         # with a cache of its own: what it holds of candidates is not kept
-        return replace(others, held={})
+        return replace(others, cache={})
 
     def with_fixed(self, fixed: Sequence[Fixed]) -> Others:
         """Return them with fixed parts, of which some may not be in the state."""
@@ -161,7 +161,7 @@ class Others:
             fit=self.fit.keeping(kept, count),
         )
 
-    def predicted(self) -> Held:
+    def predicted(self) -> FoldPrediction:
         """Return the log density of the held-out rows (multivariate t) and their errors of prediction."""
         m, rows = self.fold.measurement, self.fold.rows
         basis, ranks = m.system.basis, sum(part.rank for part in self.fixed)
@@ -178,9 +178,9 @@ class Others:
             shares, variances = 1 - (basis.local[rows] ** 2).sum(axis=1), np.ones(len(rows))
         else:
             errors, shares, variances = self.without.predicted(self.fit, self.columns)
-        scale, kept = np.where(m.system.alike, m.system.scale, np.nan)[rows], ~spared[rows]
+        scale, kept = np.where(m.system.in_reported_unit, m.system.scale, np.nan)[rows], ~spared[rows]
         score = _log_marginal(self.whole, ranks) - others
-        return Held(score, errors[kept], scale[kept], shares[kept], variances[kept])
+        return FoldPrediction(score, errors[kept], scale[kept], shares[kept], variances[kept])
 
     @property
     def _ranks(self) -> int:
@@ -195,12 +195,12 @@ class Others:
 
     def left(self, number: int) -> tuple[Array, Array]:
         """Return the Gram matrices of a family's alternatives, and their products with the residual."""
-        if number in self.held:
-            gram, along = self.held[number]
+        if number in self.cache:
+            gram, along = self.cache[number]
         else:
             gram, along = self._beside_members(number)
             if along.size < _MOST_HELD:
-                self.held[number] = gram, along
+                self.cache[number] = gram, along
         count, q, _ = along.shape
         flat = along[:, :, self.columns].reshape(count * q, len(self.columns))
         turned = solved(self.fit.lower, flat.T).T.reshape(count, q, len(self.columns))
@@ -216,20 +216,20 @@ class Others:
         once, less those of the held-out rows.
         """
         state, rows, columns = self.state, self.fold.rows, self.fold.measurement.families[number].columns
-        every, key, held = _beside_members(state), ("beside members", number, columns.count), state.held
-        if key not in held:
-            held[key] = columns.grams(state.own), columns.products(every)
-        gram, along = held[key]
+        every, key, cache = _beside_members(state), ("beside members", number, columns.count), state.cache
+        if key not in cache:
+            cache[key] = columns.grams(state.own), columns.products(every)
+        gram, along = cache[key]
         if self.fold.whole:
-            if "rows" not in self.held:
-                self.held["rows"] = state.own.at(rows), every[rows]
-            basis, some = self.held["rows"]
+            if "rows" not in self.cache:
+                self.cache["rows"] = state.own.at(rows), every[rows]
+            basis, some = self.cache["rows"]
             own = columns.of_rows(self.fold.mask)
             return gram - own.grams(basis), along - own.products(some)
-        if "directions" not in self.held:
+        if "directions" not in self.cache:
             directions, turn = _directions(state.own, rows)
-            self.held["directions"] = directions, turn.T @ every[rows]
-        directions, held_out = self.held["directions"]
+            self.cache["directions"] = directions, turn.T @ every[rows]
+        directions, held_out = self.cache["directions"]
         shown = columns.products(directions)
         return gram - shown @ np.swapaxes(shown, 1, 2), along - shown @ held_out
 
@@ -268,12 +268,14 @@ def _log_marginal(fit: Fit, ranks: float) -> float:
 
 def _beside_members(state: State) -> Array:
     """Return all shared columns of a state, and last the residual, free of what single members have, (rows, p + 1)."""
-    if "beside members" not in state.held:
+    if "beside members" not in state.cache:
         m = state.measurement
         unknowns = [m.system.basis.shared] if state.members_are_free else []
         every = np.concatenate(
             [*unknowns, *(columns for _, columns in state.parts), m.system.residual[:, None]], axis=1
         )
         own = state.own
-        state.held["beside members"] = every if state.members_are_free else every - own.combined(own.coordinates(every))
-    return np.asarray(state.held["beside members"])
+        state.cache["beside members"] = (
+            every if state.members_are_free else every - own.combined(own.coordinates(every))
+        )
+    return np.asarray(state.cache["beside members"])

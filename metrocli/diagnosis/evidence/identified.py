@@ -53,7 +53,7 @@ class IdentifiedEffect:
     """Estimated parameters (one-step, linear)"""
     covariance: Array
     """Covariance of the parameters with the estimated noise, or with what leaving out units shows"""
-    seen: Mask
+    estimable: Mask
     """Which parameters the readings determine together; the others are taken as 0"""
     apart: Mask
     """Which parameters have no part in an unseen direction; the others are not determined individually"""
@@ -69,21 +69,24 @@ class IdentifiedEffect:
         """Level at which its size differs from 0 beside its covariance (chi-square)."""
         from scipy.special import chdtrc
 
-        covariance, q = self.covariance[np.ix_(self.seen, self.seen)], int(self.seen.sum())
+        covariance, q = self.covariance[np.ix_(self.estimable, self.estimable)], int(self.estimable.sum())
         # in standard deviations, since parameters have different units; one without a variance has no size either
         std = np.sqrt(np.where(np.diag(covariance) > 0, np.diag(covariance), 1.0))
-        own, inverse = self.values[self.seen] / std, np.linalg.pinv(covariance / std / std[:, None], hermitian=True)
+        own, inverse = (
+            self.values[self.estimable] / std,
+            np.linalg.pinv(covariance / std / std[:, None], hermitian=True),
+        )
         return float(chdtrc(q, own @ inverse @ own)) if q else 0.0
 
     @property
-    def held(self) -> tuple[str, ...]:
+    def taken_as_zero(self) -> tuple[str, ...]:
         """The parameters taken as 0, because the readings do not determine them beside the others."""
-        return tuple(name for name, free in zip(self.alternative.parameters, self.seen, strict=True) if not free)
+        return tuple(name for name, free in zip(self.alternative.parameters, self.estimable, strict=True) if not free)
 
     @property
     def known(self) -> dict[str, float]:
         """The parameters that are not estimated: the scanned ones, and those taken as 0."""
-        return {**dict(self.alternative.scanned), **dict.fromkeys(self.held, 0.0)}
+        return {**dict(self.alternative.scanned), **dict.fromkeys(self.taken_as_zero, 0.0)}
 
 
 def identified(state: State, part: Fixed, with_rivals: bool = True) -> IdentifiedEffect:
@@ -93,15 +96,15 @@ def identified(state: State, part: Fixed, with_rivals: bool = True) -> Identifie
     less = state.beside(part)
     gram, right = (values[part.number] for values in less.left(part.family))
     raw = family.raw[part.number]
-    seen, apart = determined(gram, raw)
-    scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))[seen]
-    inverse = np.linalg.pinv(gram[np.ix_(seen, seen)] / scale / scale[:, None], 1e-11, hermitian=True)
+    estimable, apart = determined(gram, raw)
+    scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))[estimable]
+    inverse = np.linalg.pinv(gram[np.ix_(estimable, estimable)] / scale / scale[:, None], 1e-11, hermitian=True)
     covariance = np.zeros(gram.shape)
-    covariance[np.ix_(seen, seen)] = inverse / scale / scale[:, None]
+    covariance[np.ix_(estimable, estimable)] = inverse / scale / scale[:, None]
     values = covariance @ right
     # rounding can make what an effect explains larger than all there is
     share = np.array(min(float(values @ right) / less.fit.squares, 1.0))
-    rank = int(seen.sum())
+    rank = int(estimable.sum())
     single = float(log_tail(share, rank, max(less.freedoms - rank, 1.0)))
     level = float(log_family(single, m.prices.tests[part.family]))
     others = _rivals(less, part, values, state.variance) if with_rivals else ()
@@ -112,7 +115,7 @@ def identified(state: State, part: Fixed, with_rivals: bool = True) -> Identifie
         level,
         values,
         covariance * state.variance,
-        seen,
+        estimable,
         apart,
         tuple(rival for rival in others if rival.alternative.spot != own.spot),
         tuple(rival for rival in others if rival.alternative.spot == own.spot),
@@ -134,18 +137,18 @@ def determined(gram: Array, raw: Array) -> tuple[Mask, Mask]:
     """
     size = np.where(raw > 0, raw, 1.0)
     scaled = gram / size / size[:, None]
-    seen = np.ones(len(raw), dtype=bool)
+    estimable = np.ones(len(raw), dtype=bool)
     values, vectors = np.linalg.eigh(scaled)
     open_ones = values <= max(VISIBLE**2, FLAT * values[-1])
     apart = np.linalg.norm(vectors[:, open_ones], axis=1) < _BLIND
-    while seen.sum() > 1:
-        values, vectors = np.linalg.eigh(scaled[np.ix_(seen, seen)])
+    while estimable.sum() > 1:
+        values, vectors = np.linalg.eigh(scaled[np.ix_(estimable, estimable)])
         if values[0] > max(VISIBLE**2, FLAT * values[-1]):
             break
         # the parameter that moves most along the unseen direction is the one that
         # the readings show least beside the others
-        seen[np.flatnonzero(seen)[int(np.argmax(np.abs(vectors[:, 0])))]] = False
-    return seen, np.asarray(apart)
+        estimable[np.flatnonzero(estimable)[int(np.argmax(np.abs(vectors[:, 0])))]] = False
+    return estimable, np.asarray(apart)
 
 
 def explains_as_well(log_odds: Array, cosines2: Array, shown: Array | float) -> Mask:

@@ -68,7 +68,7 @@ class Measurement:
     """ln of the determinants by which their weights change the likelihood"""
     unweighted: Measurement | None = None
     """The measurement with the declared noise of all readings; None if it is this one"""
-    held: dict[object, Array] = field(default_factory=dict, compare=False, repr=False)
+    cache: dict[object, Array] = field(default_factory=dict, compare=False, repr=False)
     """Cache of columns and products"""
 
     @cached_property
@@ -119,9 +119,9 @@ class Measurement:
     def kernel(self, number: int, length: float) -> Array:
         """Return the root of the covariance between the knots of a covariate."""
         key = "kernel", number, length
-        if key not in self.held:
-            self.held[key] = kernel(self.knots[number].functions.distances, length)
-        return self.held[key]
+        if key not in self.cache:
+            self.cache[key] = kernel(self.knots[number].functions.distances, length)
+        return self.cache[key]
 
     @cached_property
     def tried(self) -> float:
@@ -167,16 +167,16 @@ class Measurement:
         return thin(np.concatenate(parts, axis=1)), at
 
     @cached_property
-    def held_of_families(self) -> dict[object, Array]:
-        """Cache of products with its families; a measurement with other families shares `held`, not this."""
+    def cache_of_families(self) -> dict[object, Array]:
+        """Cache of products with its families; a measurement with other families shares `cache`, not this."""
         return {}
 
     def grams_beside_members(self, family: int) -> Array:
         """Return the Gram matrices of a family beside the local unknowns, (alternatives, parameters, parameters)."""
-        held, key = self.held_of_families, ("grams", family)
-        if key not in held:
-            held[key] = self.families[family].columns.grams(self.system.basis.of_members)
-        return held[key]
+        cache, key = self.cache_of_families, ("grams", family)
+        if key not in cache:
+            cache[key] = self.families[family].columns.grams(self.system.basis.of_members)
+        return cache[key]
 
     def effect(self, family: int, number: int) -> Fixed:
         """Return an effect at a place as fixed columns."""

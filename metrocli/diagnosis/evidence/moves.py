@@ -137,24 +137,24 @@ def moves(state: State, quiet: set[int] | None = None) -> list[Move]:
     Those that show nothing here are added to them.
     """
     quiet = set() if quiet is None else quiet
-    if (key := ("moves", frozenset(quiet))) not in state.held:
+    if (key := ("moves", frozenset(quiet))) not in state.cache:
         possible = [*causes(state), *readings(state), *_masked_readings(state)]
         if sum(part.kind == CORRELATED for part in state.random) < _CORRELATED:
             possible += [Move(entering.net, entering=entering) for entering in correlated_errors(state, quiet)]
         possible += _noise(state, alone=all(move.net <= 0 for move in possible))
         # a little below 0 too: quick gains are at the present sizes, and may rise when these are estimated
-        state.held[key] = sorted((move for move in possible if move.net > -1), key=lambda move: -move.net), {*quiet}
-    entering, silent = state.held[key]
+        state.cache[key] = sorted((move for move in possible if move.net > -1), key=lambda move: -move.net), {*quiet}
+    entering, silent = state.cache[key]
     quiet |= silent
     return list(entering)
 
 
 def causes(state: State) -> list[Move]:
     """Return the effects, and unknown causes, of the largest net gains, and the best effect at all its places."""
-    if "causes" not in state.held:
+    if "causes" not in state.cache:
         scattered = [Move(entering.net, entering=entering) for entering in scattered_effects(state)[:1]]
-        state.held["causes"] = [*effects(state), *scattered]
-    return [*state.held["causes"]]
+        state.cache["causes"] = [*effects(state), *scattered]
+    return [*state.cache["causes"]]
 
 
 def _noise(state: State, alone: bool) -> list[Move]:

@@ -60,17 +60,17 @@ class Prices:
     causes: float
     """Effective number of causes: each has an equal share of the level"""
     dof: float
-    held: dict[tuple[int, int], float] = field(default_factory=dict, compare=False, repr=False)
+    cache: dict[tuple[int, int], float] = field(default_factory=dict, compare=False, repr=False)
 
     def of_columns(self, family: int, rank: int) -> float:
         """Return the gain at which the F test of a family has the level of all: about ln(tests) + 0.5, at any rank."""
         key = family, rank
-        if key not in self.held:
+        if key not in self.cache:
             q, rest = float(rank), max(self.dof - rank, 1.0)
             f = critical(single_level(LEVEL, self.tests[family]), rank, rest)
             share = q * f / (rest + q * f)
-            self.held[key] = float(gain_of_columns(np.array(share), np.array(q), 1.0, self.dof))
-        return self.held[key]
+            self.cache[key] = float(gain_of_columns(np.array(share), np.array(q), 1.0, self.dof))
+        return self.cache[key]
 
     def of_ranks(self, family: int, ranks: Array) -> Array:
         """Return the prices of the alternatives of a family by their ranks; 0 for rank 0."""

@@ -17,45 +17,50 @@ from metrocli.diagnosis.evidence.measurement import Measurement
 from metrocli.diagnosis.evidence.parts import Fixed, Random
 from metrocli.diagnosis.linear.basis import Columns
 
+KeyedColumns = tuple[object, Array]
+"""Columns (rows, k) of a part of a state, with the key by which their products are cached"""
+_REDUCED = "free of unknowns"
+"""Begins the key of columns that are free of the shared unknowns, too"""
+
 
 def without_local(m: Measurement, key: object, columns: Array) -> Array:
     """Return columns (rows, k) without what local unknowns absorb, computed once for each key."""
-    if key not in m.held:
+    if key not in m.cache:
         basis = m.system.basis.of_members
-        m.held[key] = columns - basis.combined(basis.coordinates(columns)) if basis.members else columns
-    return m.held[key]
+        m.cache[key] = columns - basis.combined(basis.coordinates(columns)) if basis.members else columns
+    return m.cache[key]
 
 
 def shared_parts(
     m: Measurement, fixed: Sequence[Fixed], random: Sequence[Random], unknowns: bool = True
-) -> list[tuple[object, Array]]:
+) -> list[KeyedColumns]:
     """Return the shared columns of unknowns, random and fixed parts with their keys, free of local unknowns.
 
     Without the unknowns the others are free of these as well.
     """
-    others: list[tuple[object, Array]] = [((part.kind, part.key), part.columns) for part in random if not part.local]
+    others: list[KeyedColumns] = [((part.kind, part.key), part.columns) for part in random if not part.local]
     others += [((part.sort, part.key), part.columns) for part in fixed]
     if unknowns:
         return [
             ("unknowns", m.system.basis.shared),
             *((key, without_local(m, key, columns)) for key, columns in others),
         ]
-    return [*zip([("M", key) for key, _ in others], _without_unknowns(m, others), strict=True)]
+    return [*zip([(_REDUCED, key) for key, _ in others], _without_unknowns(m, others), strict=True)]
 
 
-def _without_unknowns(m: Measurement, parts: Sequence[tuple[object, Array]]) -> list[Array]:
-    """Return the columns of parts without what the unknowns absorb, computed once for each key."""
-    new = [(key, columns) for key, columns in parts if ("M", key) not in m.held]
+def _without_unknowns(m: Measurement, parts: Sequence[KeyedColumns]) -> list[Array]:
+    """Return the columns X of parts without what the unknowns absorb, `X - A A'X`, computed once for each key.
+
+    A are the orthonormal columns of the shared unknowns, free of the local ones.
+    """
+    new = [(key, columns) for key, columns in parts if (_REDUCED, key) not in m.cache]
     if new:
-        left, shared = (
-            np.concatenate([without_local(m, key, columns) for key, columns in new], axis=1),
-            m.system.basis.shared,
-        )
+        left, shared = np.concatenate([without_local(m, *part) for part in new], axis=1), m.system.basis.shared
         left -= shared @ (shared.T @ left)
         ends = np.cumsum([columns.shape[1] for _, columns in new])[:-1]
         for (key, _), own in zip(new, np.split(left, ends, axis=1), strict=True):
-            m.held["M", key] = own
-    return [m.held["M", key] for key, _ in parts]
+            m.cache[_REDUCED, key] = own
+    return [m.cache[_REDUCED, key] for key, _ in parts]
 
 
 def shared_columns(
@@ -73,7 +78,7 @@ def shared_columns(
     return np.concatenate([np.zeros((count, 0)), *parts], axis=1)
 
 
-def _local_parts(m: Measurement, random: Sequence[Random]) -> list[tuple[object, Array]]:
+def _local_parts(m: Measurement, random: Sequence[Random]) -> list[KeyedColumns]:
     """Return the columns of errors of single members with their keys, free of the unknowns of these."""
     keys = [((part.kind, part.key), part.columns) for part in random if part.local]
     return [(key, without_local(m, key, columns)) for key, columns in keys]
@@ -99,16 +104,17 @@ def products_of(
         return known
     gram, right = _gram(m, shared, known)
     unknowns = shared[0][1].shape[1] if local else 0
-    kinds = [np.full(unknowns, -1)]
-    kinds += [np.full(part.columns.shape[1], j) for j, part in enumerate(random) if not part.local]
-    kinds += [np.full(part.rank, -1) for part in fixed]
+    # of each column the number of its random part, whose variance it has; -1 for those without a prior
+    of_shared = [np.full(unknowns, -1)]
+    of_shared += [np.full(part.columns.shape[1], j) for j, part in enumerate(random) if not part.local]
+    of_shared += [np.full(part.rank, -1) for part in fixed]
     of_local = [np.full(part.columns.shape[1], j) for j, part in enumerate(random) if part.local]
     empty, members = np.zeros(0, dtype=np.intp), m.system.basis.members if local else 0
     own = np.zeros((members, 0, 0))
     mixed = np.zeros((members, 0, len(right) + 1))
     if local:
         own, mixed = (
-            np.concatenate([products_of_members(m, random, other, m.held) for other in others], axis=2)
+            np.concatenate([products_of_members(m, random, other, m.cache) for other in others], axis=2)
             for others in (local, [*shared, ("residual", m.system.residual[:, None])])
         )
     return Products(
@@ -117,7 +123,7 @@ def products_of(
         m.squares,
         m.dof,
         unknowns,
-        np.concatenate([*kinds, empty]).astype(np.intp),
+        np.concatenate([*of_shared, empty]).astype(np.intp),
         np.concatenate([*of_local, empty]).astype(np.intp),
         own,
         mixed,
@@ -126,18 +132,18 @@ def products_of(
 
 
 def products_of_members(
-    m: Measurement, random: Sequence[Random], other: tuple[object, Columns], held: dict[object, Array]
+    m: Measurement, random: Sequence[Random], other: tuple[object, Columns], cache: dict[object, Array]
 ) -> Array:
-    """Return the products of the errors of each member with columns (rows, p) of a name, (members, k, p).
+    """Return the products of the errors of each member with columns (rows, p) and their key, (members, k, p).
 
-    Those of each part are computed once in a cache.
+    Those of each part are computed once, and kept in `cache`: that of the measurement, or that of its families.
     """
     products = list[Array]()
     for key, columns in _local_parts(m, random):
-        at = "of members", key, other[0]
-        if at not in held:
-            held[at] = _by_members(m, columns, other[1])
-        products.append(held[at])
+        of_pair = "of members", key, other[0]
+        if of_pair not in cache:
+            cache[of_pair] = _by_members(m, columns, other[1])
+        products.append(cache[of_pair])
     return np.concatenate(products, axis=1)
 
 
@@ -148,16 +154,20 @@ def _by_members(m: Measurement, columns: Array, others: Columns) -> Array:
         return np.stack([columns[order[a:b]].T @ others[order[a:b]] for a, b in pairwise(begins)])
     from scipy.sparse import csr_matrix
 
-    # at once: taking rows out of a sparse matrix costs more than their products
-    (rows, k), there = columns.shape, m.system.basis.member >= 0
-    places = (np.where(there, m.system.basis.member, 0)[:, None] * k + np.arange(k)).ravel()
-    values = np.where(there[:, None], columns, 0.0).ravel()
-    apart = csr_matrix((values, places, k * np.arange(rows + 1)), shape=(rows, m.system.basis.members * k))
-    return np.asarray((apart.T @ others).toarray().reshape(m.system.basis.members, k, others.shape[1]))
+    # all members in one product: taking rows out of a sparse matrix costs more than their products
+    (rows, k), local = columns.shape, m.system.basis.member >= 0
+    # k columns of each member, with values in its rows only; rows without a member are zero at the first
+    places = (np.where(local, m.system.basis.member, 0)[:, None] * k + np.arange(k)).ravel()
+    values = np.where(local[:, None], columns, 0.0).ravel()
+    side_by_side = csr_matrix((values, places, k * np.arange(rows + 1)), shape=(rows, m.system.basis.members * k))
+    return np.asarray((side_by_side.T @ others).toarray().reshape(m.system.basis.members, k, others.shape[1]))
 
 
-def _gram(m: Measurement, shared: Sequence[tuple[object, Array]], known: Products | None) -> tuple[Array, Array]:
-    """Return the products of shared parts with each other and with the residual, as far as possible from known ones."""
+def _gram(m: Measurement, shared: Sequence[KeyedColumns], known: Products | None) -> tuple[Array, Array]:
+    """Return the products of shared parts with each other and with the residual.
+
+    Those of two parts that `known` has are taken from it.
+    """
     ends = np.cumsum([0, *(columns.shape[1] for _, columns in shared)])
     gram, right = np.empty((ends[-1], ends[-1])), np.empty(ends[-1])
     at = {} if known is None else known.places
@@ -178,9 +188,9 @@ def _gram(m: Measurement, shared: Sequence[tuple[object, Array]], known: Product
     return gram, right
 
 
-def _product(m: Measurement, first: tuple[object, Array], other: tuple[object, Array]) -> Array:
+def _product(m: Measurement, first: KeyedColumns, other: KeyedColumns) -> Array:
     """Return the product of the columns of two parts, computed once."""
     key = "product", first[0], other[0]
-    if key not in m.held:
-        m.held[key] = first[1].T @ other[1]
-    return m.held[key]
+    if key not in m.cache:
+        m.cache[key] = first[1].T @ other[1]
+    return m.cache[key]

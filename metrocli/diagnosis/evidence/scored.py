@@ -68,7 +68,7 @@ class Scored:
     fixed: tuple[Fixed, ...]
     random: tuple[Random, ...]
     fit: Fit
-    held: dict[object, Any] = field(default_factory=dict, compare=False, repr=False)
+    cache: dict[object, Any] = field(default_factory=dict, compare=False, repr=False)
     """Cache of what is left of families"""
 
     @classmethod
@@ -172,28 +172,28 @@ class Scored:
         """Return the state without some parts, all sizes estimated anew, computed once."""
         gone = {id(part) for part in parts}
         # the state holds its parts, so that their identities stay theirs
-        if (key := ("minus", frozenset(gone), steps)) not in self.held:
+        if (key := ("minus", frozenset(gone), steps)) not in self.cache:
             kept = [j for j, part in enumerate(self.random) if id(part) not in gone]
             fixed = [part for part in self.fixed if id(part) not in gone]
             random, known = [self.random[j] for j in kept], self.fit.products
-            self.held[key] = (
+            self.cache[key] = (
                 self.keeping(fixed).again(steps)
                 if len(kept) == len(self.random)
                 else type(self).of(self.measurement, fixed, random, self.logs[kept], steps, known)
             )
         # without what it may come to hold of candidates and rows
-        return replace(cast("Self", self.held[key]), held={})
+        return replace(cast("Self", self.cache[key]), cache={})
 
     def again(self, steps: int = 12) -> Self:
         """Return the state with all sizes estimated anew from these on."""
-        return replace(self, fit=likeliest(self.fit, np.array([part.most for part in self.random]), steps), held={})
+        return replace(self, fit=likeliest(self.fit, np.array([part.most for part in self.random]), steps), cache={})
 
     def keeping(self, fixed: Iterable[Fixed]) -> Self:
         """Return the state with some of its fixed parts, at the same sizes of the random parts."""
         ids = {id(part) for part in fixed}
         kept = [j for j, part in enumerate(self.fixed) if id(part) in ids]
         fit = self.fit.keeping(kept, len(self.fixed))
-        return replace(self, fixed=tuple(self.fixed[j] for j in kept), fit=fit, held={})
+        return replace(self, fixed=tuple(self.fixed[j] for j in kept), fit=fit, cache={})
 
     def beside(self, part: Fixed) -> Self:
         """Return the state without a fixed part, at the same sizes of the random parts."""

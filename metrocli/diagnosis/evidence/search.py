@@ -228,5 +228,5 @@ def _quick(state: State, number: int) -> float:
     logs = state.logs.copy()
     # e^-25 of the noise: as good as left out, and the products stay as they are
     logs[number] = -25.0
-    less = replace(state, fit=fit_at(state.fit.products, logs), held={})
+    less = replace(state, fit=fit_at(state.fit.products, logs), cache={})
     return state.score - less.score - state.random[number].price

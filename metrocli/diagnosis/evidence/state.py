@@ -96,20 +96,20 @@ class State(Scored):
         """Whether no errors of single members are in it, so that products with the columns since entered suffice."""
         return not any(part.local for part in self.random)
 
-    def _with_parts(self, name: object, columns: Callable[[Array], Array], held: dict[object, Array]) -> Array:
+    def _with_parts(self, name: object, columns: Callable[[Array], Array], cache: dict[object, Array]) -> Array:
         """Return the products of what is shared with columns of a name, (p, ...), by those with others (rows, k).
 
         Those with each part are computed once in a cache.
         """
-        new = [(key, x) for key, x in self.parts if ("within", name, key) not in held]
-        products = {key: held["within", name, key] for key, _ in self.parts if ("within", name, key) in held}
+        new = [(key, x) for key, x in self.parts if ("within", name, key) not in cache]
+        products = {key: cache["within", name, key] for key, _ in self.parts if ("within", name, key) in cache}
         if new or not products:
             every = columns(np.concatenate([np.zeros((self.measurement.system.rows, 0)), *(x for _, x in new)], axis=1))
             ends = np.cumsum([x.shape[1] for _, x in new])
             for (key, x), end in zip(new, ends, strict=True):
                 products[key] = every[end - x.shape[1] : end]
                 if products[key].size < _MOST_HELD:
-                    held["within", name, key] = products[key]
+                    cache["within", name, key] = products[key]
             if not new:
                 return every
         return np.concatenate([products[key] for key, _ in self.parts])
@@ -123,10 +123,10 @@ class State(Scored):
         entered = np.einsum("rk,rk->r", self.entered, self.entered)
         if not self.members_are_free:
             return np.asarray(self.own.squares() + entered)
-        held = self.measurement.held
-        if "absorbed" not in held:
-            held["absorbed"] = self.measurement.system.basis.squares()
-        return np.asarray(held["absorbed"] + entered)
+        cache = self.measurement.cache
+        if "absorbed" not in cache:
+            cache["absorbed"] = self.measurement.system.basis.squares()
+        return np.asarray(cache["absorbed"] + entered)
 
     def products(self, rows: Index) -> Array:
         """Return the products of what the state takes of rows (n, a), -1 for none, with each other, (n, a, a)."""
@@ -137,10 +137,10 @@ class State(Scored):
         m = self.measurement
         if rows is not m.places:
             known = m.system.basis.products(rows, rows)
-        elif "readings" not in m.held:
-            known = m.held["readings"] = m.system.basis.products(rows, rows)
+        elif "readings" not in m.cache:
+            known = m.cache["readings"] = m.system.basis.products(rows, rows)
         else:
-            known = m.held["readings"]
+            known = m.cache["readings"]
         entered = np.where((rows >= 0)[:, :, None], self.entered[rows], 0.0)
         return np.asarray(known + entered @ np.swapaxes(entered, 1, 2))
 
@@ -166,7 +166,7 @@ class State(Scored):
 
     def left(self, family: int) -> tuple[Array, Array]:
         """Return the Gram matrices of the alternatives of a family, and their products with the residual."""
-        if family not in self.held:
+        if family not in self.cache:
             m = self.measurement
             group, at = m.families[family], m.side_by_side[1]
             shape = group.columns.count, group.columns.parameters
@@ -182,22 +182,22 @@ class State(Scored):
             else:
                 alone = group.gram if self.members_are_free else m.grams_beside_members(family)
                 gram = alone - taken @ np.swapaxes(taken, 1, 2)
-            self.held[family] = gram, right
-        products: tuple[Array, Array] = self.held[family]
+            self.cache[family] = gram, right
+        products: tuple[Array, Array] = self.cache[family]
         return products
 
     def _of_columns(self, family: int) -> Array:
         """Return what entered along the columns of a family, (k, alternatives, parameters)."""
-        columns, held = self.measurement.families[family].columns, self.measurement.held_of_families
-        return solved(self.fit.lower, self._with_parts(family, lambda x: columns.products(x).transpose(2, 0, 1), held))
+        columns, cache = self.measurement.families[family].columns, self.measurement.cache_of_families
+        return solved(self.fit.lower, self._with_parts(family, lambda x: columns.products(x).transpose(2, 0, 1), cache))
 
     @cached_property
     def _along(self) -> Array:
         """Coordinates of the small families in what the state takes, and last their products with the residual."""
-        (every, _), held = self.measurement.side_by_side, self.measurement.held_of_families
-        return np.concatenate([self._inside("side by side", every, held), (every.T @ self.residual)[None]])
+        (every, _), cache = self.measurement.side_by_side, self.measurement.cache_of_families
+        return np.concatenate([self._inside("side by side", every, cache), (every.T @ self.residual)[None]])
 
-    def _inside(self, name: object, columns: Columns, held: dict[object, Array]) -> Array:
+    def _inside(self, name: object, columns: Columns, cache: dict[object, Array]) -> Array:
         """Return coordinates c of columns (rows, k), (any, k): what the unknowns leave of their products is less c'c.
 
         Those are the local unknowns alone where members have errors.
@@ -207,21 +207,21 @@ class State(Scored):
             return np.asarray(columns.T @ x).T
 
         if self.members_are_free:
-            return solved(self.fit.lower, self._with_parts(name, products, held))
+            return solved(self.fit.lower, self._with_parts(name, products, cache))
         p, scale = len(self.fit.lower), np.exp(self.logs[self.fit.products.of_local] / 2)
-        errors = (self.fit.half * scale) @ products_of_members(self.measurement, self.random, (name, columns), held)
+        errors = (self.fit.half * scale) @ products_of_members(self.measurement, self.random, (name, columns), cache)
         flat = errors.reshape(-1, errors.shape[2])
         taken = self.fit.shown[:, :, :p].reshape(-1, p).T @ flat
-        return np.concatenate([flat, solved(self.fit.lower, self._with_parts(name, products, held) - taken)])
+        return np.concatenate([flat, solved(self.fit.lower, self._with_parts(name, products, cache) - taken)])
 
     def gram(self, name: object, columns: Columns) -> Array:
         """Return `columns' P columns` of columns (rows, k); what does not depend on the state is computed once."""
-        basis, held, key = self.measurement.system.basis, self.measurement.held, (self.members_are_free, name)
-        if key not in held:
+        basis, cache, key = self.measurement.system.basis, self.measurement.cache, (self.members_are_free, name)
+        if key not in cache:
             alone = basis if self.members_are_free else basis.of_members
-            held[key] = squared(columns) - alone.absorbed_of(columns)
-        inside = self._inside(name, columns, held)
-        return np.asarray(held[key] - inside.T @ inside)
+            cache[key] = squared(columns) - alone.absorbed_of(columns)
+        inside = self._inside(name, columns, cache)
+        return np.asarray(cache[key] - inside.T @ inside)
 
     def taken_by(self, part: Fixed) -> Array:
         """Return columns d, (rows, rank): without a fixed part the state would leave `P + d d'` of anything."""

@@ -110,12 +110,12 @@ def _blocks(state: State, number: int) -> _Blocks:
 def _of_units(state: State, number: int) -> tuple[Array, Array]:
     """Return the products of the functions of each unit, which has a local member, with each other and the residual."""
     m, own = state.measurement, state.measurement.knots[number]
-    if ("compact", number) not in m.held:
-        m.held["compact", number] = own.compact(np.eye(len(own.functions.distances)))
-    columns, size = m.held["compact", number], m.held["compact", number].shape[1]
+    if ("compact", number) not in m.cache:
+        m.cache["compact", number] = own.compact(np.eye(len(own.functions.distances)))
+    columns, size = m.cache["compact", number], m.cache["compact", number].shape[1]
     # what the unknowns leave is computed once, unless errors of members are taken with them
-    held, key = m.held if state.members_are_free else {}, ("visible of units", number)
-    others = [state.own.local, *([m.system.basis.shared] if state.members_are_free else [])] if key not in held else []
+    cache, key = m.cache if state.members_are_free else {}, ("visible of units", number)
+    others = [state.own.local, *([m.system.basis.shared] if state.members_are_free else [])] if key not in cache else []
     visible, taken = np.zeros((2, own.functions.count, size, size))
     right = np.zeros((own.functions.count, size))
     order, begins = m.by_member
@@ -132,8 +132,8 @@ def _of_units(state: State, number: int) -> tuple[Array, Array]:
                 inside = np.concatenate([part[rows] for part in others], axis=1).T @ c
                 visible[unit] += c.T @ c - inside.T @ inside
     if others:
-        held[key] = visible
-    return held[key] - taken, right
+        cache[key] = visible
+    return cache[key] - taken, right
 
 
 def correlated_errors(state: State, quiet: set[int], most: int = 3) -> list[Found]:
@@ -142,7 +142,7 @@ def correlated_errors(state: State, quiet: set[int], most: int = 3) -> list[Foun
     Covariates that show nothing are added to `quiet`, and those that are there are not looked at again.
     """
     m, scale = state.measurement, state.fit.dof / state.fit.squares
-    held = {part.key for part in state.random if part.kind == CORRELATED}
+    present = {part.key for part in state.random if part.kind == CORRELATED}
     scored: list[tuple[float, tuple[int, int, int], Array, Array]] = []
     for number, own in enumerate(m.knots):
         if number in quiet:
@@ -160,7 +160,7 @@ def correlated_errors(state: State, quiet: set[int], most: int = 3) -> list[Foun
                 scored += _singles(gram, right, scale, (number, at), own.functions.count)
         if max((process[0] for process in scored[before:]), default=0.0) < _NOTICED:
             quiet.add(number)
-    scored = [process for process in scored if process[0] > _NOTICED and process[1] not in held]
+    scored = [process for process in scored if process[0] > _NOTICED and process[1] not in present]
     several = sorted((process for process in scored if process[1][2] < 0), key=lambda process: -process[0])[: 2 * most]
     single = sorted((process for process in scored if process[1][2] >= 0), key=lambda process: -process[0])[:most]
     errors = []
@@ -190,13 +190,13 @@ def _singles(
 def scattered_effects(state: State) -> list[Found]:
     """Return the effects at all their places with their quick net gains, the best first."""
     m = state.measurement
-    held, effects = {part.key[0] for part in state.random if part.kind == SCATTER}, list[Found]()
+    present, effects = {part.key[0] for part in state.random if part.kind == SCATTER}, list[Found]()
     for number in range(len(m.scatters)):
-        if number in held:
+        if number in present:
             continue
-        if (SCATTER, number) not in m.held:
-            m.held[SCATTER, number] = thin(m.scatter(number).columns)
-        columns = m.held[SCATTER, number]
+        if (SCATTER, number) not in m.cache:
+            m.cache[SCATTER, number] = thin(m.scatter(number).columns)
+        columns = m.cache[SCATTER, number]
         d, vectors = np.linalg.eigh(state.gram((SCATTER, number), columns))
         along = (vectors.T @ (columns.T @ state.residual)) ** 2 / np.maximum(d, 1e-300)
         kept = d > 1e-4 * max(float(d[-1]), 1e-300)

@@ -119,7 +119,7 @@ def _system_weighted(measurement: Measurement, ratios: Mapping[int, float], fact
         noise=_noise_after(measurement, ratios),
         unweighted=measurement.unweighted or measurement,
         log_scale=measurement.log_scale + float(np.log(factor).sum()) - log_det / 2,
-        held={},
+        cache={},
     )
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.robust import SAME
 from metrocli.diagnosis.adjusted_job import Ordered
-from metrocli.diagnosis.evidence.gain import Gain, Held, gain_of
+from metrocli.diagnosis.evidence.gain import FoldPrediction, Gain, gain_of
 from metrocli.diagnosis.evidence.held_out import Others, fold_numbers
 from metrocli.diagnosis.evidence.parts import Fixed
 from metrocli.diagnosis.evidence.prices import ALIKE
@@ -185,13 +185,13 @@ class _Folds:
 
     lawful: Lawful
 
-    def __call__(self, number: int) -> list[tuple[Held, Held]]:
+    def __call__(self, number: int) -> list[tuple[FoldPrediction, FoldPrediction]]:
         """Return the predictions of a fold without and with laws of 1, 2, ... terms."""
         state, gone = self.lawful.state, {id(part) for _, part in self.lawful.steps}
         every = Others.of_fold(state, number)
         fixed = [part for part in state.fixed if id(part) not in gone]
         others, bare = every.keeping(fixed), len(fixed)
-        before, pairs = others.predicted(), list[tuple[Held, Held]]()
+        before, pairs = others.predicted(), list[tuple[FoldPrediction, FoldPrediction]]()
         for count in range(len(self.lawful.steps)):
             # once no term enters in a fold, no further one does there
             if len(fixed) == bare + count and (term := self._chosen(others, count)) is not None:
@@ -234,7 +234,7 @@ def _law(lawful: Lawful, base: State, gain: Gain, instead: State) -> Law:
     stds = np.sqrt(np.maximum(np.diag(inverse), 0.0) * state.variance) / scale
     cuts = np.cumsum([len(term.form.factors) for term in terms])[:-1]
     acting = whole.any(axis=1)
-    shown = np.where(acting & system.alike, (base.residual - state.residual) * system.scale, 0.0)
+    shown = np.where(acting & system.in_reported_unit, (base.residual - state.residual) * system.scale, 0.0)
     # the smaller of both variances: the share is of what is above the noise, and structure left over is no noise
     noise = min(state.variance, instead.variance) * base.freedoms
     part = (base.fit.squares - state.fit.squares) / max(base.fit.squares - noise, 1e-300)

@@ -63,7 +63,9 @@ def among_terms(state: State, library: Library, needed: float = 0.0) -> Lawful |
     tried = _with_candidates(state, looked_at, plain)
     if not _may_gain(Lawful(tried, looked_at), needed):
         return None
-    return Lawful(_with_candidates(state, library, library.prices, tried.held if looked_at is library else {}), library)
+    return Lawful(
+        _with_candidates(state, library, library.prices, tried.cache if looked_at is library else {}), library
+    )
 
 
 def _places(state: State, library: Library, needed: float) -> list[Place]:
@@ -106,9 +108,9 @@ def _may_gain(lawful: Lawful, needed: float) -> bool:
     return True
 
 
-def _with_candidates(state: State, library: Library, prices: Prices, held: dict[object, Any] | None = None) -> State:
+def _with_candidates(state: State, library: Library, prices: Prices, cache: dict[object, Any] | None = None) -> State:
     m = replace(state.measurement, families=library.families, scatters=(), knots=(), prices=prices)
-    return replace(state, measurement=m, held={} if held is None else held)
+    return replace(state, measurement=m, cache={} if cache is None else cache)
 
 
 def forward(lawful: Lawful, price: float, most: int = MOST_TERMS) -> Lawful:

@@ -113,7 +113,7 @@ class Linearised:
         yield from ((group.name, self.rows_of(group)) for group in groups if group.observations.count >= FEWEST)
 
     @cached_property
-    def alike(self) -> Mask:
+    def in_reported_unit(self) -> Mask:
         """The rows whose readings have the unit of the first group, in which errors are reported."""
         return self.rows_in_units[self.model.readings[0].observations.unit_of_each[0]]
 

@@ -168,7 +168,7 @@ def _of_indistinct(diagnosis: Diagnosis, proposed: Sequence[Proposal], known: Kn
         for rival in effect.rivals[:_RIVALS]:
             why = f"separates {effect.alternative} from {rival.alternative}"
             pool = pool_of(diagnosis.job, proposed, [effect.alternative, rival.alternative], others, known)
-            yield _Test(why, int(effect.seen.sum()), effect.values, pool, rival.odds)
+            yield _Test(why, int(effect.estimable.sum()), effect.values, pool, rival.odds)
 
 
 def _of_candidate(job: AdjustedJob, alternative: Candidate, proposed: Sequence[Proposal], known: KnownErrors) -> _Test:

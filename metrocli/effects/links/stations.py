@@ -31,9 +31,9 @@ class StationDrift(OfBlock):
 
     def step(self, value: Array, local: LinkContext) -> Step:
         """Return the point (3, n)."""
-        given = local.observations.conditions
-        later = given["t"] - given[BEGUN]
-        return Step(value - local.rows(self.block) * later, IDENTITY, {self.block: -IDENTITY * later})
+        conditions = local.observations.conditions
+        elapsed = conditions["t"] - conditions[BEGUN]
+        return Step(value - local.rows(self.block) * elapsed, IDENTITY, {self.block: -IDENTITY * elapsed})
 
 
 @dataclass(frozen=True)
@@ -83,14 +83,15 @@ class ListedWrongly(OfBlock):
             raise ValueError("ListedWrongly acts behind what reads coordinates")
         number, index = local.blocks[POINT].members.index(self.point), local.index(POINT)
         c, n = len(self.reader.columns), local.observations.count
+        if isinstance(self.reader, ReadBlock):
+            of_point = index == number
+        else:
+            # all coordinates are one reading: each row is that of the point in its slot
+            of_point = (index[self.reader.slots, 0] == number)[:, None]
         by_block = np.zeros((c, 3, n))
-        here = (
-            index == number if isinstance(self.reader, ReadBlock) else (index[self.reader.slots, 0] == number)[:, None]
-        )
-        by_block[np.arange(c), np.asarray(self.reader.columns)] = here
+        by_block[np.arange(c), np.asarray(self.reader.columns)] = of_point
         shift = (by_block * local.rows(self.block)).sum(axis=1)
-        same = np.eye(c)[:, :, None]
-        return Step(value + shift, same, {self.block: by_block})
+        return Step(value + shift, np.eye(c)[:, :, None], {self.block: by_block})
 
 
 @dataclass(frozen=True)
@@ -107,9 +108,9 @@ class HeightStep(OfBlock):
 
     def step(self, value: Array, local: LinkContext) -> Step:
         """Return the height difference (1, n)."""
-        given, (height, at) = local.observations.conditions, local.rows(self.block)
-        sign = given[heights_of(self.mark)]
-        sign = sign * (given[self.by] >= at if self.by == "t" else given[self.by] == at)
+        conditions, (height, at) = local.observations.conditions, local.rows(self.block)
+        affected = conditions[self.by] >= at if self.by == "t" else conditions[self.by] == at
+        sign = conditions[heights_of(self.mark)] * affected
         by_block = np.zeros((1, 2, len(sign)))
         by_block[0, 0] = sign
         return Step(value + height * sign, np.ones((1, 1, 1)), {self.block: by_block})

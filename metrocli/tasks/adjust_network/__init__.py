@@ -1,7 +1,7 @@
 """adjust-network: points and stations of a network of trackers, total stations, interferometers, bars and levels.
 
-`readings` (`sightings`) -> `starts` -> `unknowns` (blocks), `groups`, `datum`, `noise` ->
-`problem` -> `solve` -> `report` (stations by `placed`). `other_settings`: mistakes in the files that the readings
+`readings` (`sightings`) -> `starts` -> `unknowns` (blocks), `groups`, `noise` -> `problem` (datum) -> `solve`
+(outliers by `suspects`) -> `report` (stations by `placed`). `other_settings`: mistakes in the files that the readings
 contradict.
 """
 

@@ -27,7 +27,7 @@ from metrocli.tasks.align_part.fixturing import corrections, predicted_points
 from metrocli.tasks.align_part.problem import AlignmentProblem
 from metrocli.tasks.align_part.settings import Files
 from metrocli.tasks.shared.images.adjustment import AdjustedImages
-from metrocli.tasks.shared.images.camera_parameters import HIGH, Parameters, with_effects
+from metrocli.tasks.shared.images.camera_parameters import HIGH_CORRELATION, Parameters, with_effects
 from metrocli.tasks.shared.images.exposures import IMAGE
 from metrocli.tasks.shared.images.tables import adjustment_notes, image_statistics, image_tables, image_warnings
 from metrocli.tasks.shared.joint_covariance import owed
@@ -194,7 +194,7 @@ def _warnings(
     lines = list(problem.warnings)
     if problem.camera.covariance is None:
         lines.append("the camera is taken as exact: its file contains no covariance")
-    if prediction is not None and abs(prediction.correlation) > HIGH:
+    if prediction is not None and abs(prediction.correlation) > HIGH_CORRELATION:
         lines.append(
             f"gamma_s and the part's {prediction.partner} are correlated {prediction.correlation:+.3f}: "
             "the images hardly separate them; "

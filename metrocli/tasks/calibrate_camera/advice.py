@@ -23,7 +23,7 @@ from metrocli.targets.homography import determines_homography, seen_by_a_lens
 from metrocli.targets.lattice import GATE
 from metrocli.tasks.calibrate_camera.problem import CameraProblem
 from metrocli.tasks.shared.images.adjustment import AdjustedImages
-from metrocli.tasks.shared.images.camera_parameters import HIGH
+from metrocli.tasks.shared.images.camera_parameters import HIGH_CORRELATION
 from metrocli.words import listed
 
 _PARALLEL = np.radians(3.0)
@@ -278,4 +278,4 @@ def correlation_warnings(table: Table) -> list[str]:
     """Return a warning of parameters that are highly correlated."""
     rows = zip(table.texts("first"), table.texts("second"), table.numbers("correlation"), strict=True)
     pairs = ", ".join(f"{a}-{b} {c:+.3f}" for a, b, c in rows)
-    return [f"correlations above {HIGH}: {pairs}"] if pairs else []
+    return [f"correlations above {HIGH_CORRELATION}: {pairs}"] if pairs else []

@@ -12,7 +12,7 @@ from metrocli.adjust.decompositions import pivoted_qr
 from metrocli.arrays import Array, Index, Mask
 from metrocli.errors import UndeterminedError
 from metrocli.frozen import dataclass
-from metrocli.tasks.fit_part.fit import LEAST_MOTION, most_of_many
+from metrocli.tasks.fit_part.fit import LEAST_MOTION, max_least_overstock_of_many
 from metrocli.tasks.fit_part.nominals import on_own_patches
 from metrocli.tasks.fit_part.stock import LinearStock, Stock
 from metrocli.words import in_a_row
@@ -64,7 +64,7 @@ def contradictions(stock: Stock, minimum: float, to_part: Array) -> list[Contrad
         if not others.any():
             break
         stock, begun, rows = stock.of(others), begun.of(others), rows[others]
-        _, least, duals = most_of_many(stock, to_part, begun=begun)
+        _, least, duals = max_least_overstock_of_many(stock, to_part, begun=begun)
         if feasible(least, minimum):
             break
         further = contradiction(stock, duals, minimum, to_part, begun)
@@ -90,7 +90,7 @@ def _contradicting(stock: Stock, minimum: float, to_part: Array) -> tuple[Stock,
     for part, rows in tried:
         some = part.of(rows)
         begun = some.at(to_part)
-        _, least, duals = most_of_many(some, to_part, begun=begun)
+        _, least, duals = max_least_overstock_of_many(some, to_part, begun=begun)
         if not feasible(least, minimum):
             break
     return some, rows, begun, duals
@@ -131,7 +131,7 @@ def _least(stock: Stock, rows: Mask, to_part: Array, begun: LinearStock, enough:
     """Return the largest least overstock of some points and their duals, nan without points."""
     if not rows.any():
         return np.nan, np.zeros(0)
-    return most_of_many(stock.of(rows), to_part, enough, begun.of(rows))[1:]
+    return max_least_overstock_of_many(stock.of(rows), to_part, enough, begun.of(rows))[1:]
 
 
 def refuse(

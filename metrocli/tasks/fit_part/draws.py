@@ -65,7 +65,7 @@ def sensitivity_of_draws(fit: PoseFit, aim: PoseCriterion, start: Array, places:
     programme = _programme(fit, aim, start, outward)
     by_error = programme.by_point.transpose(1, 0, 2).reshape(6, 3 * n)
     # a longer turn bends the overstock by more than the errors
-    reach = float(np.sqrt(2 * local.lever * _along(outward, places).max()))
+    radius = float(np.sqrt(2 * local.lever * _along(outward, places).max()))
     draw, rng = drawing(places), np.random.default_rng(_SEED)
     steps, errors, gradients = np.zeros((DRAWS, 6)), np.zeros((DRAWS, n)), np.zeros((DRAWS, 6))
     by_gradient, by_overstock = np.zeros((6, 6)), np.zeros((n, 6))
@@ -73,7 +73,7 @@ def sensitivity_of_draws(fit: PoseFit, aim: PoseCriterion, start: Array, places:
         error = draw(rng)
         errors[k], gradients[k] = np.einsum("na,na->n", outward, error), by_error @ error.ravel()
         best, level = _solved(
-            programme.hessian, programme.gradient + gradients[k], aim, rows, local.overstock + errors[k], reach
+            programme.hessian, programme.gradient + gradients[k], aim, rows, local.overstock + errors[k], radius
         )
         steps[k] = best.x
         of_gradient, active, of_bounds = _response(programme.hessian, rows, best)
@@ -105,18 +105,18 @@ def _programme(fit: PoseFit, aim: PoseCriterion, start: Array, outward: Array) -
 
 
 def _solved(
-    hessian: Array, gradient: Array, aim: PoseCriterion, rows: Array, overstock: Array, reach: float
+    hessian: Array, gradient: Array, aim: PoseCriterion, rows: Array, overstock: Array, radius: float
 ) -> tuple[Optimum, Array]:
     """Return the step of a draw, and the derivative of the least overstock that it keeps by that of each point (n,).
 
-    That is the minimum, with derivative 0. For `most`, and where no step within reach leaves the minimum, it is the
+    That is the minimum, with derivative 0. For `most`, and where no step within radius leaves the minimum, it is the
     largest one.
     """
     if aim.name != MOST:
         best = quadratic(hessian, gradient, rows, aim.minimum - overstock)
-        if best is not None and np.abs(best.x).max() < reach:
+        if best is not None and np.abs(best.x).max() < radius:
             return best, np.zeros(len(overstock))
-    held, least = highest(rows, overstock, reach)
+    held, least = highest(rows, overstock, radius)
     best = quadratic(hessian, gradient, rows, least - SLACK - overstock)
     if best is None:
         raise NotConvergedError("a fit to points with drawn errors has no solution")

@@ -16,7 +16,7 @@ from metrocli.table import Table
 from metrocli.tasks.fit_part import KIND
 from metrocli.tasks.fit_part.contradiction import feasible
 from metrocli.tasks.fit_part.draws import drawing
-from metrocli.tasks.fit_part.fit import EVEN, LEAST_MOTION, MOST, most_of_many
+from metrocli.tasks.fit_part.fit import EVEN, LEAST_MOTION, MOST, max_least_overstock_of_many
 from metrocli.tasks.fit_part.sentences import notes, uncontrolled, warnings
 from metrocli.tasks.fit_part.solve import FittedPart, fitted_part
 from metrocli.tasks.fit_part.uncertainty import pose_by_step
@@ -255,7 +255,7 @@ def checked(solved: FittedPart, minimum: float, trials: int, seed: int) -> Check
         stock = replace(solved.stock, measured=solved.stock.measured + draw(rng))
         highest = (solved.fit.to_part, np.inf, solved.fit.duals)
         if solved.aim.name == MOST:
-            highest = most_of_many(stock, solved.fit.to_part)
+            highest = max_least_overstock_of_many(stock, solved.fit.to_part)
             if not feasible(highest[1], minimum):
                 continue
         try:

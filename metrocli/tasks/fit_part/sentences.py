@@ -13,7 +13,7 @@ from metrocli.errors import NotConvergedError
 from metrocli.table import Table
 from metrocli.tasks.fit_part.contradiction import motions_without
 from metrocli.tasks.fit_part.draws import DRAWS
-from metrocli.tasks.fit_part.fit import MOST, most_of_many
+from metrocli.tasks.fit_part.fit import MOST, max_least_overstock_of_many
 from metrocli.tasks.fit_part.solve import FittedPart, fitted_part
 from metrocli.tasks.shared.part import taken_as_exact
 from metrocli.tasks.shared.uncontrolled import SCALE, SCALE_WORDS, Hidden, table_of
@@ -158,7 +158,7 @@ def by_scale(solved: FittedPart) -> float:
     middle = stock.measured.mean(axis=0)
     larger = replace(stock, measured=middle + (stock.measured - middle) * (1 + SCALE))
     if solved.aim.name == MOST:
-        begin = most_of_many(larger, solved.fit.to_part)
+        begin = max_least_overstock_of_many(larger, solved.fit.to_part)
     try:
         _, fitted = fitted_part(larger, solved.aim.name, solved.minimum, begin, solved.prepared.start)
     except NotConvergedError:

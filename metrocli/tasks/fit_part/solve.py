@@ -23,9 +23,9 @@ from metrocli.tasks.fit_part.fit import (
     SLACK,
     PoseCriterion,
     PoseFit,
-    aimed,
+    criterion_of,
     fit,
-    most_of_many,
+    max_least_overstock_of_many,
 )
 from metrocli.tasks.fit_part.ideal import ideal, must_be_of_one_size
 from metrocli.tasks.fit_part.levels import Levels, robust_levels
@@ -112,7 +112,7 @@ def solve(settings: Settings, prepared: Prepared) -> FittedPart:
     if isinstance(nominal, OfSurfaces) and surface is not None and not open_motions:
         other = tuple(misread(nominal, even, prepared.start))
     turned = reversed_surfaces(stock, nominal, even.to_part) if isinstance(nominal, OfSurfaces) else []
-    highest, largest, holding = most_of_many(stock, even.to_part)
+    highest, largest, holding = max_least_overstock_of_many(stock, even.to_part)
     if not c.feasible(largest, minimum):
         contradictions = c.contradictions(stock, minimum, highest)
         wrong_side = c.wrong_side(turned) if turned else c.all_inside(even.level, isinstance(nominal, OfMesh))
@@ -166,9 +166,9 @@ def fitted_part(
     """
     to_part, largest, duals = begin
     if name != MOST:
-        aim = aimed(stock, name, min(minimum, largest), to_part, start)
+        aim = criterion_of(stock, name, min(minimum, largest), to_part, start)
         return aim, fit(stock, aim, to_part)
-    aim = aimed(stock, name, largest - SLACK, to_part, start)
+    aim = criterion_of(stock, name, largest - SLACK, to_part, start)
     even = fit(stock, aim, to_part)
     # of a linear programme the gradient is 0: its duals alone have to balance
     held = np.abs(even.local.rows.T @ duals).max()

@@ -26,18 +26,19 @@ from metrocli.words import listed
 def joined(problem: PointPairs, solution: Solution) -> Result:
     """Return the result of several stations that are solved; estimates are named `S2.x`, `S2.scale`."""
     test, places = tested(problem, solution), problem.joins
-    assert places is not None
-    off = without_rounding(_deviations(problem, places, test), test.rounding)
-    distance = np.sqrt((off**2).sum(axis=1))
+    assert places is not None  # those of several stations are unknowns
+    deviations = without_rounding(_deviations(problem, places, test), test.rounding)
+    distance = np.sqrt((deviations**2).sum(axis=1))
     counts = np.bincount(places.of, minlength=len(places.names))
     # places that a single station measured, and no list has
-    alone = (counts == 1) & ~np.isfinite(places.spread.sigma).all(axis=1) & places.free.any(axis=1)
-    size = float(np.sqrt((distance[~alone[places.of]] ** 2).mean()))
-    statistics = basic_statistics(solution, {"mm": size}) | {"points": len(places.names)}
+    single = (counts == 1) & ~np.isfinite(places.spread.sigma).all(axis=1) & places.free.any(axis=1)
+    rms = float(np.sqrt((distance[~single[places.of]] ** 2).mean()))
+    statistics = basic_statistics(solution, {"mm": rms}) | {"points": len(places.names)}
     if problem.estimated:
         statistics = with_noise(statistics, solution, {"noise": test.factor * problem.start_noise})
     estimates, covariance = _estimates(problem, test)
     known = test.solution.covariance_or_raise()
+    # without noise all covariances are zero, and have no factors
     shared = factors(known, PLACE, np.ones(len(counts), dtype=bool)) if test.factor else {}
     return Result(
         kind=KIND.name,
@@ -50,7 +51,7 @@ def joined(problem: PointPairs, solution: Solution) -> Result:
             "deviations": Table.of(
                 {
                     **{f"{key} [text]": names for key, names in problem.keys.items()},
-                    "dx dy dz [mm]": off,
+                    "dx dy dz [mm]": deviations,
                     "d [mm]": distance,
                 }
             ),
@@ -60,7 +61,7 @@ def joined(problem: PointPairs, solution: Solution) -> Result:
         arrays={POINTS_COVARIANCE: known.members(PLACE), **shared},
         warnings=tuple(warnings(problem, test)),
         shown=(ShownTable("points"),),
-        notes=(*notes(problem, test, size), *_uncontrolled(places, alone)),
+        notes=(*notes(problem, test, rms), *_uncontrolled(places, single)),
     )
 
 
@@ -72,6 +73,7 @@ def _deviations(problem: PointPairs, places: Places, test: Tested) -> Array:
 
 
 def _points(test: Tested, places: Places, counts: Index) -> Table:
+    """Return the points in the common frame, with the number of stations that measured each."""
     return Table.of(
         {
             "point": places.names,
@@ -83,7 +85,10 @@ def _points(test: Tested, places: Places, counts: Index) -> Table:
 
 
 def _estimates(problem: PointPairs, test: Tested) -> tuple[tuple[Estimate, ...], Array]:
-    """Return position, angles and scale of each station that is not the frame, with their covariance."""
+    """Return position, angles and scale of each station that is not the frame, with their covariance.
+
+    `P F Q F' P'` with Q that of the steps, F the derivatives of the estimates by them, and P the order by stations.
+    """
     blocks = test.solution.blocks
     rows = np.flatnonzero(blocks[POSE].free[:, 0])
     scaled = (SCALE,) if problem.scale else ()
@@ -91,7 +96,7 @@ def _estimates(problem: PointPairs, test: Tested) -> tuple[tuple[Estimate, ...],
     change = np.eye(len(covariance))
     for i, row in enumerate(rows):
         change[6 * i : 6 * i + 6, 6 * i : 6 * i + 6] = poses.euler_form_by_step(blocks[POSE].values[row])
-    # all numbers of a station stand together: seven of each, of which the last is its scale
+    # from all poses, then all scales, to all numbers of a station together
     order = np.concatenate(
         [np.arange(6 * count).reshape(count, 6), *([6 * count + np.arange(count)[:, None]] if scaled else [])], axis=1
     ).ravel()
@@ -110,7 +115,8 @@ def _estimates(problem: PointPairs, test: Tested) -> tuple[tuple[Estimate, ...],
     return tuple(Estimate(name, value, std, *unit) for (name, unit), value, std in numbers), covariance
 
 
-def _uncontrolled(places: Places, alone: Mask) -> list[str]:
-    names = [places.names[i] for i in np.flatnonzero(alone)]
+def _uncontrolled(places: Places, single: Mask) -> list[str]:
+    """Return a note on the points of a single station, if there are any."""
+    names = [places.names[i] for i in np.flatnonzero(single)]
     text = "measured by one station only, so nothing controls them, and the root mean square is without them"
     return [f"{text}: {listed(names)}"] if names else []

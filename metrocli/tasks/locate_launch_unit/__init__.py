@@ -1,6 +1,6 @@
 """locate-launch-unit: place of an interferometer's launch unit in the machine, and plan of its measuring lines.
 
-`readings` -> `problem` -> `solve` (three methods; `misread` where nothing fits) -> `report`. A plan: `lines`
+`readings` -> `problem` -> `solve` (three methods; what is mislabelled where nothing fits) -> `report`. A plan: `lines`
 through the unit -> `margin` (is the beam in range, which poses would help) -> their programs.
 """
 

@@ -1,7 +1,7 @@
 """multilaterate: reflector positions from the lengths of four or more tracking interferometers.
 
-`readings` -> `problem` -> `blunders` (robust start, wrong lengths) -> `solve` -> `second_places` (mirror images)
--> `correction` of probing points (`probed`) -> `features` -> `report`. `layout` and `layout_faults` judge a plan.
+`readings` -> `problem` -> `blunders` (robust start, wrong lengths) -> `solve` -> `uncontrolled` (mirror images)
+-> `correction` of probing points -> `report`, with shared.features. `layout` and `layout_faults` judge a plan.
 """
 
 from metrocli.tasks.kind import Kind, Question

@@ -3,7 +3,7 @@
 - lengths: `tracers` (lists, readings, starts), `lengths` (noise, stops, scales), `environment` (air), `mirror`,
   `length_effects`
 - trackers: `tracker_effects`; images: `images`; parts: `part` (sizes at 20 degC), `features`
-- every adjustment: `noise` (`estimated`, `structured`), `statistics`, `diagnosed`, `uncontrolled`,
+- every adjustment: `noise` (estimated, structured), `statistics`, `diagnosed`, `uncontrolled`,
   `joint_covariance`
 - files: `lists` (names matched); `figures` (names that `require:` may use)
 """

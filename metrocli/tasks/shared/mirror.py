@@ -1,6 +1,6 @@
 """Second places that fit lengths as well: the mirror image of a tracer or a point in the plane of what it is read with.
 
-Lengths to ends in one plane, or nearly in one, do not tell its two sides apart. Nor do three lengths.
+Lengths to ends in one plane, or nearly in one, do not distinguish its two sides. Nor do three lengths.
 """
 
 from __future__ import annotations
@@ -20,7 +20,8 @@ from metrocli.instruments import tracer as t
 from metrocli.tasks.shared.uncontrolled import Hidden
 
 _STEPS = 40
-_ALIKE = 10.83
+"""Gauss-Newton steps at most"""
+_CHI_SQUARE = 10.83
 """Increase of chi-square up to which a second place fits as well: 0.1 % of chance, one degree of freedom"""
 _APART = 6.0
 """Standard uncertainties of a place from which a second one is another solution and not the same"""
@@ -28,9 +29,10 @@ _FLAT = 0.3
 """Ends whose thickness is below this share of their extent may let a mirror image fit"""
 _DECIDED = 0.5
 """A listed place decides if its distance from the solution is below this share of that from the mirror image"""
-
-_MOST = 5
+_MOST_LISTED = 5
 """Most mirror images that a table lists"""
+_TINY = 1e-300
+"""Divisor in the place of 0"""
 _OTHERS = {"point": "tracers"}
 """What is in the plane that mirrors a member: the other ends of its lengths"""
 
@@ -42,7 +44,7 @@ def coordinates(place: Array) -> str:
 
 @dataclass(frozen=True)
 class NetworkLengths:
-    """Lengths between members, such as points, and their ends, such as tracers, as an adjustment found them."""
+    """Adjusted lengths from members, such as points, to their other ends, such as tracers."""
 
     noun: str
     names: Sequence[str]
@@ -51,10 +53,11 @@ class NetworkLengths:
     ends: Array
     """Place of the other end of each length, (n, 3)"""
     residuals: Array
+    """Length less that of the adjusted places, (n,)"""
     sigma: Array
     """Standard deviation of each length, with that of its other end, (n,)"""
     places: Array
-    """Places found, (members, 3)"""
+    """Adjusted places, (members, 3)"""
     std: Array
     """Their standard uncertainties, (members, 3)"""
     free: Mask
@@ -65,8 +68,8 @@ class NetworkLengths:
     """Members whose lengths share an unknown offset, (members,)"""
 
     def selected(self, members: Mask) -> NetworkLengths:
-        """Return the sights of some of the members."""
-        rows, number = members[self.of], np.cumsum(members) - 1
+        """Return the lengths of some of the members."""
+        rows, number = members[self.of], np.cumsum(members) - 1  # the new number of each member that is kept
         return NetworkLengths(
             self.noun,
             [name for name, kept in zip(self.names, members, strict=True) if kept],
@@ -99,7 +102,7 @@ class Mirrored:
     @property
     def better(self) -> bool:
         """Whether the other place fits better than by chance."""
-        return self.gain > _ALIKE
+        return self.gain > _CHI_SQUARE
 
     @property
     def words(self) -> str:
@@ -159,12 +162,12 @@ def _spread(solution: Solution, observations: Observations) -> Array | float:
 
 
 def must_be_decided(places: Sequence[Mirrored]) -> None:
-    """Raise UndeterminedError if a place and its mirror image fit alike, and no list is nearer to the one found."""
-    if open_ones := [place for place in places if not place.decided]:
-        noun, other = open_ones[0].noun, _OTHERS.get(open_ones[0].noun, "points")
+    """Raise UndeterminedError if a place and its mirror image fit equally well, and no list decides for the first."""
+    if undecided := [place for place in places if not place.decided]:
+        noun, other = undecided[0].noun, _OTHERS.get(undecided[0].noun, "points")
         raise UndeterminedError(
             f"two places fit the lengths alike, mirror images in the plane of the {other}:\n"
-            + "\n".join(f"  {family.words}" for family in open_ones[:3])
+            + "\n".join(f"  {place.words}" for place in undecided[:3])
             + f"\n  what decides: a place in `inputs: {noun}s` that is near one of them, or lengths to {other} away "
             "from that plane",
             0.0,
@@ -173,7 +176,7 @@ def must_be_decided(places: Sequence[Mirrored]) -> None:
 
 def hidden_by(places: Sequence[Mirrored]) -> Iterator[Hidden]:
     """Yield what no residual shows: places that only the list decides for, not their mirror images."""
-    for place in places[:_MOST]:
+    for place in places[:_MOST_LISTED]:
         apart = float(np.linalg.norm(place.other - place.solved))
         other = _OTHERS.get(place.noun, "points")
         yield Hidden(
@@ -184,38 +187,38 @@ def hidden_by(places: Sequence[Mirrored]) -> Iterator[Hidden]:
         )
 
 
-def mirrored(sights: NetworkLengths, noise: float = 1.0) -> list[Mirrored]:
+def mirrored(network: NetworkLengths, noise: float = 1.0) -> list[Mirrored]:
     """Return the members with a second place whose chi-square is at most 10.83 larger (0.1 %) than that of the first.
 
     `noise` is a factor on the standard deviations. Members whose ends are far from one plane are not tried.
     """
-    count = len(sights.places)
-    lengths = np.bincount(sights.of, minlength=count)
-    normal, thin, centre = _planes(sights, lengths)
-    height = ((sights.places - centre) * normal).sum(axis=1)
-    tried = ((thin < _FLAT) | (lengths <= 3)) & (lengths > 0) & sights.free.any(axis=1) & (np.abs(height) > 0)
+    count = len(network.places)
+    lengths = np.bincount(network.of, minlength=count)
+    normal, thin, centre = _planes(network, lengths)
+    height = ((network.places - centre) * normal).sum(axis=1)
+    tried = ((thin < _FLAT) | (lengths <= 3)) & (lengths > 0) & network.free.any(axis=1) & (np.abs(height) > 0)
     if not tried.any():
         return []
-    few = sights.selected(tried)
+    few = network.selected(tried)
     # ends are never exactly in one plane, so the mirrored place is a start and not yet the second solution
     start = few.places - 2 * (height[:, None] * normal)[tried] * few.free
     other, gain = _refined(few, start, noise)
     apart = np.linalg.norm(other - few.places, axis=1)
-    away, from_other = (np.linalg.norm(few.listed - place, axis=1) for place in (few.places, other))
+    from_first, from_other = (np.linalg.norm(few.listed - place, axis=1) for place in (few.places, other))
     # a place within the uncertainty of the first is the same one (docs/decisions/170-mirror-images.md)
-    alike = (gain > -_ALIKE) & (apart > _APART * np.linalg.norm(few.std, axis=1)) & np.isfinite(apart)
+    ambiguous = (gain > -_CHI_SQUARE) & (apart > _APART * np.linalg.norm(few.std, axis=1)) & np.isfinite(apart)
     members = np.flatnonzero(tried)
     return [
         Mirrored(
-            sights.noun,
+            network.noun,
             few.names[i],
             int(members[i]),
             few.places[i],
             other[i],
             float(gain[i]),
-            bool(away[i] < _DECIDED * from_other[i]),
+            bool(from_first[i] < _DECIDED * from_other[i]),
         )
-        for i in np.flatnonzero(alike).tolist()
+        for i in np.flatnonzero(ambiguous).tolist()
     ]
 
 
@@ -229,7 +232,7 @@ def _sums(of: Index, left: Array, right: Array, weight: Array, count: int) -> Ar
     return sums
 
 
-def _planes(sights: NetworkLengths, lengths: Index) -> tuple[Array, Array, Array]:
+def _planes(network: NetworkLengths, lengths: Index) -> tuple[Array, Array, Array]:
     """Return unit normal (m, 3), relative thickness (m,) and centre (m, 3) of the plane nearest to each member's ends.
 
     Coordinates that are given are no direction of the normal. Ends that are surely far from a plane have none: a
@@ -237,18 +240,19 @@ def _planes(sights: NetworkLengths, lengths: Index) -> tuple[Array, Array, Array
     """
     count = len(lengths)
     each = np.maximum(lengths, 1)[:, None]
-    centre = np.stack([np.bincount(sights.of, axis, count) for axis in sights.ends.T], axis=1) / each
-    away = sights.ends - centre[sights.of]
-    scatter = _sums(sights.of, away, away, np.ones(len(away)), count)
-    given = ~sights.free
+    centre = np.stack([np.bincount(network.of, axis, count) for axis in network.ends.T], axis=1) / each
+    away = network.ends - centre[network.of]
+    scatter = _sums(network.of, away, away, np.ones(len(away)), count)
+    given = ~network.free
     scatter[given[:, :, None] | given[:, None, :]] = 0.0
-    largest = np.maximum(scatter.max(axis=(1, 2)), 1e-300)
+    largest = np.maximum(scatter.max(axis=(1, 2)), _TINY)
     # a given coordinate gets a large eigenvalue, so that it is never the normal
     scatter[:, range(3), range(3)] += np.where(given, 1e3 * largest[:, None], 0.0)
-    # the product of the larger two eigenvalues is at most the square of half the trace: most members need no vectors
+    # det = e1 e2 e3, and e2 e3 is at most the square of half the trace: `e1 >= 4 det / trace^2`, so that most members
+    # need no vectors
     a, b, c = np.moveaxis(scatter, 2, 0)
     trace = np.einsum("mii->m", scatter)
-    thin: Array = 2 * np.sqrt(np.maximum((np.cross(a, b) * c).sum(axis=1), 0.0) / largest) / np.maximum(trace, 1e-300)
+    thin: Array = 2 * np.sqrt(np.maximum((np.cross(a, b) * c).sum(axis=1), 0.0) / largest) / np.maximum(trace, _TINY)
     normal = np.zeros((count, 3))
     near = (thin < _FLAT) | (lengths <= 3)
     values, vectors = np.linalg.eigh(scatter[near])
@@ -256,41 +260,41 @@ def _planes(sights: NetworkLengths, lengths: Index) -> tuple[Array, Array, Array
     return normal, thin, np.asarray(centre)
 
 
-def _refined(sights: NetworkLengths, start: Array, noise: float) -> tuple[Array, Array]:
-    """Return the places (m, 3) of least chi-square near a start, and by how much it is below that of the places found.
+def _refined(network: NetworkLengths, start: Array, noise: float) -> tuple[Array, Array]:
+    """Return the places (m, 3) of least chi-square near a start, and by how much it is below that of `network.places`.
 
     Damped Gauss-Newton steps of all members at once; each has its own damping.
     """
-    count, of = len(start), sights.of
-    weight = 1 / (noise * sights.sigma) ** 2
-    unknown = np.column_stack([sights.free, sights.offset]).astype(float)
-    # the reading itself, from what was found and its residual: sights then need no chain
-    read = np.linalg.norm(sights.places[of] - sights.ends, axis=1) + sights.residuals
+    count, of = len(start), network.of
+    weight = 1 / (noise * network.sigma) ** 2
+    unknown = np.column_stack([network.free, network.offset]).astype(float)
+    # the reading itself, from the adjusted length and its residual: no chain is needed
+    read = np.linalg.norm(network.places[of] - network.ends, axis=1) + network.residuals
 
     def misfit(state: Array) -> tuple[Array, Array, Array]:
-        away = state[of, :3] - sights.ends
+        away = state[of, :3] - network.ends
         distance = np.maximum(np.linalg.norm(away, axis=1), 1e-12)
         miss = read + state[of, 3] - distance
         cost: Array = np.bincount(of, weight * miss**2, count).astype(float)
-        return miss, away / distance[:, None], cost
+        return miss, away / distance[:, None], cost  # the second is the derivative by the place
 
-    before = misfit(np.column_stack([sights.places, np.zeros(count)]))[2]
+    before = misfit(np.column_stack([network.places, np.zeros(count)]))[2]
     state, damping = np.column_stack([start, np.zeros(count)]), np.full(count, 1e-6)
     miss, towards, cost = misfit(state)
     for _ in range(_STEPS):
         columns = np.column_stack([towards, -np.ones(len(of))]) * unknown[of]
         normal, right = _sums(of, columns, columns, weight, count), _sums(of, columns, miss[:, None], weight, count)
-        size = np.maximum(normal[:, range(4), range(4)].max(axis=1), 1e-300)
+        size = np.maximum(normal[:, range(4), range(4)].max(axis=1), _TINY)
         # what is fixed gets a pivot of the same size: its column is 0, and its step stays 0
         normal[:, range(4), range(4)] += (damping * size)[:, None] + (1 - unknown) * size[:, None]
         moved = state + np.linalg.solve(normal, right)[:, :, 0]
         new_miss, new_towards, new_cost = misfit(moved)
         better = new_cost <= cost
-        still = np.abs(cost - new_cost).max() <= 1e-9 * (1 + cost.max())
+        converged = np.abs(cost - new_cost).max() <= 1e-9 * (1 + cost.max())
         damping = np.clip(np.where(better, damping / 10, damping * 10), 1e-12, 1e6)
         state, cost = np.where(better[:, None], moved, state), np.where(better, new_cost, cost)
         rows = better[of]
         miss, towards = np.where(rows, new_miss, miss), np.where(rows[:, None], new_towards, towards)
-        if still:
+        if converged:
             break
     return state[:, :3], before - cost

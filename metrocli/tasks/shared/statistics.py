@@ -226,7 +226,7 @@ def point_shift(solution: Solution, group: Group) -> Array:
     place = place_in_tiles(solution, group)
     if place is not None and covariance.layout.eliminated == t.POINT:
         shape = group.observations.readings.shape
-        moved = covariance.factor * covariance.eliminated.with_readings(place, shape)[:, 0]
+        moved = covariance.factor * covariance.eliminated.cross_covariance(place, shape)[:, 0]
         return np.asarray(np.linalg.norm(moved / group.observations.sigma[0], axis=0))
     shift = np.zeros((3, len(index)))
     touches = group.linear(solution.blocks, covariance.layout.wanted).touches

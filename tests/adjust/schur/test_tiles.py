@@ -206,7 +206,7 @@ def test_the_covariance_of_a_point_with_its_readings(case: str, way: str) -> Non
     for touch in group.linear(solution.blocks, covariance.layout.wanted).touches:
         pair = covariance.pairs("point", point, touch.block, touch.index)
         expected += (pair * touch.jacobian[0]).sum(axis=1)
-    found = covariance.eliminated.with_readings(place, group.observations.readings.shape)[:, 0]
+    found = covariance.eliminated.cross_covariance(place, group.observations.readings.shape)[:, 0]
     assert np.abs(found - expected).max() < 1e-9 * np.abs(expected).max()
 
 

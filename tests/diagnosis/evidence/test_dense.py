@@ -12,7 +12,7 @@ import pytest
 
 from benchmarks.hidden import images, lengths
 from benchmarks.hidden.scenes import board_scene
-from metrocli.diagnosis.evidence.gain import Held, gain_of
+from metrocli.diagnosis.evidence.gain import FoldPrediction, gain_of
 from metrocli.diagnosis.evidence.held_out import Fold, Others, folds_of
 from metrocli.diagnosis.evidence.measured_job import measurement_of
 from metrocli.diagnosis.evidence.measurement import Measurement
@@ -48,7 +48,7 @@ def number_of_effect(m: Measurement, name: str) -> int:
 
 def with_residual(m: Measurement, errors: Array) -> Measurement:
     """Return a measurement with what the unknowns leave of some errors as its residual."""
-    return replace(m, system=replace(m.system, residual=m.system.seen(errors)), held={})
+    return replace(m, system=replace(m.system, residual=m.system.seen(errors)), cache={})
 
 
 def parts(kind: str) -> tuple[list[Fixed], list[Random], list[float]]:
@@ -229,7 +229,7 @@ def test_single_readings_are_predicted_with_the_variance_of_a_deleted_residual(k
 
 def test_readings_that_the_others_hardly_determine_show_no_gain() -> None:
     one, far = np.ones(2), np.array([1.0, 1e10])
-    pair = [Held(0.0, np.array([size, 1e6]), np.array([0.1, 0.1]), one, far) for size in (2.0, 1.0)]
+    pair = [FoldPrediction(0.0, np.array([size, 1e6]), np.array([0.1, 0.1]), one, far) for size in (2.0, 1.0)]
     found = gain_of([(pair[0], pair[1])])
     assert (found.before, found.after, found.ratio) == pytest.approx((0.2, 0.1, 0.5))
     assert found.explained == pytest.approx(0.75)
@@ -237,7 +237,7 @@ def test_readings_that_the_others_hardly_determine_show_no_gain() -> None:
 
 def test_readings_of_another_unit_count_in_the_reduction_alone() -> None:
     scale, one = np.array([0.1, np.nan]), np.ones(2)
-    pair = [Held(0.0, np.array([1.0, size]), scale, one, one) for size in (3.0, 1.0)]
+    pair = [FoldPrediction(0.0, np.array([1.0, size]), scale, one, one) for size in (3.0, 1.0)]
     found = gain_of([(pair[0], pair[1])])
     assert found.before == found.after == pytest.approx(0.1)
     assert found.reduction == pytest.approx(1 - np.sqrt(2 / 10))

@@ -10,7 +10,7 @@ import scipy.linalg
 
 from benchmarks.hidden import lengths
 from metrocli.diagnosis.evidence.folds import gain_of_parts, gains
-from metrocli.diagnosis.evidence.gain import Held
+from metrocli.diagnosis.evidence.gain import FoldPrediction
 from metrocli.diagnosis.evidence.held_out import Fold, Others
 from metrocli.diagnosis.evidence.identified import all_identified
 from metrocli.diagnosis.evidence.measured_job import measurement_of
@@ -23,8 +23,8 @@ from tests.diagnosis.evidence.test_dense import NETWORK, measurement, number_of_
 def test_a_mixture_has_the_mean_density_and_the_variance_of_both() -> None:
     one = np.ones(2)
     without, other = (
-        Held(-3.0, np.array([2.0, 0.0]), one, one, one),
-        Held(-1.0, np.array([0.0, 1.0]), one, one, 2 * one),
+        FoldPrediction(-3.0, np.array([2.0, 0.0]), one, one, one),
+        FoldPrediction(-1.0, np.array([0.0, 1.0]), one, one, 2 * one),
     )
     mixed = without.mixed(other, 0.25)
     assert np.exp(mixed.score) == pytest.approx(0.75 * np.exp(-3.0) + 0.25 * np.exp(-1.0))

@@ -83,7 +83,9 @@ def test_displacements_and_angles_of_one_reading_are_of_two_units() -> None:
     system = linearised(job.model)
     angle = np.tile([False] * 3 + [True] * 3, group.observations.count)
     assert job.reading == ("um", "length")
-    assert (system.alike[system.rows_of(group)] == ~angle).all() and not system.alike[~system.measured].any()
+    assert (system.in_reported_unit[system.rows_of(group)] == ~angle).all() and not system.in_reported_unit[
+        ~system.measured
+    ].any()
     functions = next(process_bases(job, system))
     scale = system.scale[system.rows_of(group)]
     expected = {"mm": np.median(scale[~angle]), "rad": np.median(scale[angle])}

@@ -11,7 +11,7 @@ from tasks.fit_part.test_fit import dense, even, moved
 from tasks.fit_part.test_uncertainty import ideal_of
 
 from metrocli.geometry import poses
-from metrocli.tasks.fit_part.fit import most
+from metrocli.tasks.fit_part.fit import max_least_overstock
 from metrocli.tasks.fit_part.solve import fitted_part
 from metrocli.tasks.fit_part.stock import Stock
 
@@ -34,7 +34,7 @@ def test_a_rough_casting_whose_bores_bend_away_below_a_step(
     """With 5 to 40 mm of overstock a step on a bore or boss misses the minimum by far more than it gains."""
     one, part = casting(seed, each=each, stock=(5, 40), rough=2.0), ideal_of(tmp_path)
     stock = Stock(part, one.points, np.array([part.names.index(name) for name in one.surface]))
-    top = most(stock, poses.inverse(poses.pose_from_euler(one.pose[:3], one.pose[3:])))
+    top = max_least_overstock(stock, poses.inverse(poses.pose_from_euler(one.pose[:3], one.pose[3:])))
     fit = fitted_part(stock, aim, top[1] - below, top, np.zeros(6))[1]
     back = poses.inverse(fit.to_part)
     pose = np.concatenate([back[:3], poses.euler_form(back)[3:]])

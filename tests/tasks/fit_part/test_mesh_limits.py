@@ -16,7 +16,7 @@ from tasks.fit_part.test_faults import stl
 from metrocli.formats import hdf5
 from metrocli.geometry.rotations import rotation_from_vector
 from metrocli.tasks.fit_part.contradiction import contradictions
-from metrocli.tasks.fit_part.fit import most_of_many
+from metrocli.tasks.fit_part.fit import max_least_overstock_of_many
 from metrocli.tasks.fit_part.nominals import OfMesh
 from metrocli.tasks.fit_part.stock import Stock
 
@@ -70,7 +70,7 @@ def test_the_lowest_points_may_all_lie_on_one_side() -> None:
     assert (sides[lowest] == (2, 1)).all()
     points, sides = np.repeat(points, 4, axis=0), np.repeat(sides, 4, axis=0)
     points = points + np.random.default_rng(2).uniform(-0.001, 0.001, points.shape)
-    _, least, duals = most_of_many(stock_of(points), UNMOVED)
+    _, least, duals = max_least_overstock_of_many(stock_of(points), UNMOVED)
     assert least == pytest.approx(largest_least(points, sides), abs=1e-3)
     assert {tuple(one) for one in sides[duals > 1e-9]} >= {(2, 0), (2, 1)}
 
@@ -79,7 +79,7 @@ def test_the_lowest_points_may_all_lie_on_one_side() -> None:
 def test_points_inside_contradict_each_other_on_opposite_sides() -> None:
     points, sides = on_block(-3.0, 0.2, 0.2)
     stock = stock_of(points)
-    pose, _, _ = most_of_many(stock, UNMOVED)
+    pose, _, _ = max_least_overstock_of_many(stock, UNMOVED)
     found = contradictions(stock, 0.5, pose)
     assert len(found) == 3
     for one in found:

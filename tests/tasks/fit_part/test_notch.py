@@ -11,7 +11,7 @@ from simulated.notch import largest_least, notched, plane_of, raw
 from metrocli.errors import UndeterminedError
 from metrocli.table import Table
 from metrocli.tasks.fit_part.contradiction import contradictions
-from metrocli.tasks.fit_part.fit import EVEN, most_of_many
+from metrocli.tasks.fit_part.fit import EVEN, max_least_overstock_of_many
 from metrocli.tasks.fit_part.nominals import OfMesh
 from metrocli.tasks.fit_part.settings import Inputs, Overstock, Settings
 from metrocli.tasks.fit_part.solve import prepare, solve
@@ -34,7 +34,7 @@ def test_named_surfaces_contradict_each_other_and_each_is_needed(
     points, of = raw(seed, missing, to_edges)
     nominal = OfMesh(notched())
     stock = Stock(nominal, points, nominal.nearest(points))
-    pose, least, _ = most_of_many(stock, np.zeros(6))
+    pose, least, _ = max_least_overstock_of_many(stock, np.zeros(6))
     assert least < MINIMUM
     for found in contradictions(stock, MINIMUM, pose):
         named = [plane_of(nominal, name) for name in found.surfaces]

@@ -18,7 +18,7 @@ from metrocli.result import Result
 from metrocli.settings import Section
 from metrocli.table import Table
 from metrocli.tasks.fit_part.draws import drawing, sensitivity_of_draws
-from metrocli.tasks.fit_part.fit import PoseCriterion, PoseFit, most, most_of_many
+from metrocli.tasks.fit_part.fit import PoseCriterion, PoseFit, max_least_overstock, max_least_overstock_of_many
 from metrocli.tasks.fit_part.ideal import ideal
 from metrocli.tasks.fit_part.nominals import OfSurfaces
 from metrocli.tasks.fit_part.report import report
@@ -70,7 +70,7 @@ def test_the_sensitivity_is_the_difference_of_two_fits(aim: str, minimum: float,
 
     def at(points: Array) -> tuple[PoseCriterion, PoseFit]:
         stock = Stock(part, points, surface)
-        return fitted_part(stock, aim, minimum, most(stock, near), start)
+        return fitted_part(stock, aim, minimum, max_least_overstock(stock, near), start)
 
     chosen, fit = at(one.points)
     assert (fit.duals > 0).any() == (aim != "even" or minimum > 1)
@@ -163,7 +163,7 @@ def test_a_shift_of_all_points_is_a_shift_of_the_pose_in_each_draw(tmp_path: Pat
     one, part = casting(33), ideal_of(tmp_path)
     stock = Stock(part, one.points, np.array([part.names.index(name) for name in one.surface]))
     near = poses.inverse(poses.pose_from_euler(one.pose[:3], one.pose[3:]))
-    aim, fit = fitted_part(stock, "most", 0.5, most(stock, near), np.zeros(6))
+    aim, fit = fitted_part(stock, "most", 0.5, max_least_overstock(stock, near), np.zeros(6))
     shift = np.broadcast_to(np.eye(3), (len(one.points), 3, 3))
     places = PredictedPlaces(one.points, shift, 0.04 * np.eye(3), 9e-4 * shift)
     found = sensitivity_of_draws(fit, aim, np.zeros(6), places)
@@ -180,13 +180,13 @@ def test_the_largest_least_overstock_of_many_points_is_that_of_all(tmp_path: Pat
     one, part = casting(35, each=150, angle=0.3), ideal_of(tmp_path)
     stock = Stock(part, one.points, np.array([part.names.index(name) for name in one.surface]))
     off = one.pose + np.array([40, -25, 30, 0.02, -0.03, 0.02])  # where other points are the lowest
-    pose, least, duals = most_of_many(stock, poses.inverse(poses.pose_from_euler(off[:3], off[3:])))
+    pose, least, duals = max_least_overstock_of_many(stock, poses.inverse(poses.pose_from_euler(off[:3], off[3:])))
     back = poses.inverse(pose)
     overstock = one.overstock_at(np.concatenate([back[:3], poses.euler_form(back)[3:]]))
     assert overstock.min() == pytest.approx(least, abs=1e-9)
     assert np.allclose(overstock[duals > 0], least, atol=1e-6)
     assert duals.sum() == pytest.approx(1)
-    assert least == pytest.approx(most(stock, pose)[1], abs=1e-6)
+    assert least == pytest.approx(max_least_overstock(stock, pose)[1], abs=1e-6)
 
 
 def test_the_monte_carlo_check_repeats_the_standard_uncertainties(tmp_path: Path, metrocli: Metrocli) -> None:

@@ -13,7 +13,6 @@ from metrocli.instruments.lenses.conventions import image_grid
 from metrocli.table import Table
 from metrocli.tasks.calibrate_camera.problem import CameraProblem
 from metrocli.tasks.shared.images.calibrated import DIRECTIONS, LENS_SHAPE, SHAPE_COVARIANCE
-from metrocli.tasks.shared.images.camera_parameters import in_diagonal
 from metrocli.tasks.shared.images.settings import SPLINE
 
 _KNOWN = 1e-3
@@ -49,13 +48,15 @@ def coefficients(link: LensShape, solution: Solution) -> dict[str, Array]:
 
 def shape_arrays(problem: CameraProblem, solution: Solution) -> dict[str, Array]:
     """Return how uncertain the shape is together with lens and pose; {} without a shape, and unless the rig is cmm."""
+    from scipy.linalg import block_diag
+
     link = link_of(problem)
     if link is None or problem.rig != "cmm":
         return {}
     values, vectors = np.linalg.eigh(solution.joint((SHAPE,)))
     unknown = values > _KNOWN**2 * values[-1]
     lens, pose = solution.blocks[LENS], solution.blocks[TAPER].values[0]
-    change = in_diagonal([np.eye(int(lens.free.sum())), poses.euler_form_by_step(pose), vectors.T])
+    change = block_diag(np.eye(int(lens.free.sum())), poses.euler_form_by_step(pose), vectors.T)
     change = np.delete(change, len(change) - len(values) + np.flatnonzero(~unknown), axis=0)
     covariance = change @ solution.joint((LENS, TAPER, SHAPE)) @ change.T
     return {DIRECTIONS: link.to_coefficients @ vectors[:, unknown], SHAPE_COVARIANCE: covariance}

@@ -10,7 +10,7 @@ from metrocli.arrays import Array
 from metrocli.frozen import dataclass
 
 FIGURES = ("A", "A_up", "A_down", "R", "R_up", "R_down", "B", "B_mean", "E", "E_up", "E_down", "M")
-"""Accuracy, repeatability, reversal value and its mean, systematic deviation, range of the mean deviation"""
+"""ISO 230-2: accuracy, repeatability, reversal value and its mean, systematic deviation, range of mean deviations"""
 COVERAGE = 2.0
 """k of the stated U (ISO/TR 230-9)"""
 
@@ -31,12 +31,12 @@ def figures(up: Array, down: Array) -> dict[str, float]:
     means, spread = at_each_target(up, down)
     return {
         name: part.value(means, spread) if all(map(len, _needed(name, up, down))) else float("nan")
-        for name, part in _sums(means, spread).items()
+        for name, part in _linear_forms(means, spread).items()
     }
 
 
 def _needed(name: str, up: Array, down: Array) -> tuple[Array, ...]:
-    """Return the runs that a figure needs."""
+    """Return the runs that a figure needs: of one direction by the ending of its name, else of both."""
     sides = {"up": (up,), "down": (down,)}
     return sides.get(name.rpartition("_")[2], (up, down))
 
@@ -48,7 +48,7 @@ class LineUncertainty:
     reading: float
     """Standard uncertainty of a reading, independent of all others [mm]"""
     scale: float = 0.0
-    """Standard uncertainty of all distances of the line in common (device, temperature, misalignment)"""
+    """Relative standard uncertainty of all distances of the line in common (device, temperature, misalignment)"""
 
 
 def expanded(up: Array, down: Array, targets: Array, known: LineUncertainty) -> dict[str, float]:
@@ -62,12 +62,12 @@ def expanded(up: Array, down: Array, targets: Array, known: LineUncertainty) -> 
     values = figures(up, down)
     runs = np.maximum([[len(up)], [len(down)]], 1)
     expansions = {}
-    for name, part in _sums(means, spread).items():
-        # the derivatives of mean and standard deviation are square to each other, and those of the latter add up to 0
+    for name, part in _linear_forms(means, spread).items():
+        # by the readings x_i of n runs a mean has the derivatives 1/n, and s has (x_i - mean)/((n - 1) s). These are
+        # orthogonal, with sums of squares 1/n and 1/(n - 1). Those of s add up to 0: the scale acts on means alone
         squares = (part.mean**2 / runs + part.spread**2 / np.maximum(runs - 1, 1)).sum()
-        # the printed factors of ISO 230-2 hold for five runs, this for any number
-        u = COVERAGE * np.hypot(known.reading * np.sqrt(squares), known.scale * (part.mean * targets).sum())
-        expansions[name] = float(u) if np.isfinite(values[name]) else float("nan")
+        expanded_u = COVERAGE * np.hypot(known.reading * np.sqrt(squares), known.scale * (part.mean * targets).sum())
+        expansions[name] = float(expanded_u) if np.isfinite(values[name]) else float("nan")
     return expansions
 
 
@@ -79,8 +79,8 @@ def at_each_target(up: Array, down: Array) -> tuple[Array, Array]:
 
 
 @dataclass(frozen=True)
-class _Sum:
-    """A figure as a sum of means and standard deviations at targets: the factors of each, (2, targets)."""
+class _LinearForm:
+    """A figure as a linear form of means and standard deviations at targets: the factors of each, (2, targets)."""
 
     mean: Array
     spread: Array
@@ -90,40 +90,44 @@ class _Sum:
         return float((self.mean * means)[self.mean != 0].sum() + (self.spread * spread)[self.spread != 0].sum())
 
 
-def _sums(means: Array, spread: Array) -> dict[str, _Sum]:
-    """Return each figure as the sum that it is at the extremes of these values."""
+def _linear_forms(means: Array, spread: Array) -> dict[str, _LinearForm]:
+    """Return each figure as the linear form that it is while its extremes stay at these targets.
+
+    So its factors are its derivatives, too.
+    """
     gap, none, m = means[0] - means[1], np.zeros_like(means), means.shape[1]
 
     def at(sides: Sequence[int], target: int, factor: float = 1.0) -> Array:
+        """Return the factors of the values of some directions, 0 up and 1 down, at one target."""
         row = np.zeros_like(means)
         row[list(sides), target] = factor
         return row
 
-    def systematic(sides: tuple[int, ...]) -> _Sum:
+    def systematic(sides: tuple[int, ...]) -> _LinearForm:
         ends = [divmod(int(pick(means[list(sides)])), m) for pick in (np.argmax, np.argmin)]
         high, low = (at((sides[side],), target) for side, target in ends)
-        return _Sum(high - low, none)
+        return _LinearForm(high - low, none)
 
-    def accuracy(sides: tuple[int, ...]) -> _Sum:
+    def accuracy(sides: tuple[int, ...]) -> _LinearForm:
         chosen, wide = means[list(sides)], 2 * spread[list(sides)]
         ends = [divmod(int(end), m) for end in (np.argmax(chosen + wide), np.argmin(chosen - wide))]
         high, low = (at((sides[side],), target) for side, target in ends)
-        return _Sum(high - low, 2 * (high + low))
+        return _LinearForm(high - low, 2 * (high + low))
 
-    def repeatability(side: int) -> _Sum:
-        return _Sum(none, at((side,), int(np.argmax(spread[side])), 4.0))
+    def repeatability(side: int) -> _LinearForm:
+        return _LinearForm(none, at((side,), int(np.argmax(spread[side])), 4.0))
 
     def reversal(target: int) -> Array:
         return float(np.sign(gap[target])) * (at((0,), target) - at((1,), target))
 
     widest, middle = int(np.argmax(2 * spread.sum(axis=0) + np.abs(gap))), means.mean(axis=0)
-    both = _Sum(reversal(widest), at((0, 1), widest, 2.0))
+    both = _LinearForm(reversal(widest), at((0, 1), widest, 2.0))
     repeats = [both, repeatability(0), repeatability(1)]
     return {
         "A": accuracy((0, 1)), "A_up": accuracy((0,)), "A_down": accuracy((1,)),
         "R": max(repeats, key=lambda part: part.value(means, spread)), "R_up": repeats[1], "R_down": repeats[2],
-        "B": _Sum(reversal(int(np.argmax(np.abs(gap)))), none),
-        "B_mean": _Sum(np.repeat([[1.0], [-1.0]], m, axis=1) / m, none),
+        "B": _LinearForm(reversal(int(np.argmax(np.abs(gap)))), none),
+        "B_mean": _LinearForm(np.repeat([[1.0], [-1.0]], m, axis=1) / m, none),
         "E": systematic((0, 1)), "E_up": systematic((0,)), "E_down": systematic((1,)),
-        "M": _Sum(at((0, 1), int(np.argmax(middle)), 0.5) - at((0, 1), int(np.argmin(middle)), 0.5), none),
+        "M": _LinearForm(at((0, 1), int(np.argmax(middle)), 0.5) - at((0, 1), int(np.argmin(middle)), 0.5), none),
     }  # fmt: skip

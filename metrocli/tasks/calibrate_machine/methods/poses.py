@@ -27,14 +27,16 @@ from metrocli.tasks.shared.environment import air_of
 from metrocli.tasks.shared.lists import listed_places, matched
 
 STATIONS = 4
+"""Number of stations where no list has them"""
 AROUND = np.array([[-0.4, -0.4, 0.1], [1.4, -0.3, 0.8], [1.3, 1.4, 0.0], [-0.4, 1.3, 1.0], [0.5, -0.9, 1.2]])
-"""Places of stations that no list has, as shares of the extent of what they read"""
+"""Places of stations that no list has, as shares of the extent of what they read: outside it, and not in a plane"""
 _GOLDEN = (np.sqrt(5) - 1) / 2
-_FIRST_TEMPERATURE = 20.0
-"""At the first reading [degC] (ISO 1)"""
-_SHOWN = 9
+"""Its multiples modulo 1 spread evenly, however many they are"""
+_REFERENCE_TEMPERATURE = 20.0
+"""Temperature at the first reading [degC] (ISO 1)"""
+_ANGLE_DECIMALS = 9
 """Decimals of angles in files [deg]: 0.0000036 arcsec"""
-_TIGHT = 3
+_POSE_DECIMALS = 3
 """Decimals of poses [mm, deg]"""
 
 PROBLEMS: Mapping[str, Callable[[Settings, Table, Files], MachineProblem]] = {
@@ -63,9 +65,10 @@ def poses_at(settings: Settings, files: Files, shares: Array, margin: float = 1.
     position = _rounded(machine, machine.low[:, None] + (machine.high - machine.low)[:, None] * shares)
     if settings.method == PROBING:
         return _at_balls(settings, files, position, margin)
-    n, names = shares.shape[1], _read(settings, files)
+    n, names = shares.shape[1], _target_names(settings, files)
     point = {"point [text]": np.array([f"P{i + 1:03d}" for i in range(n)])}
-    tool = {} if names == [""] else {"tool": np.array(names)[_number_in_turn(len(names), n)]}
+    # a machine with one tool without a name has no column for it
+    tool = {} if names == [""] else {"tool": np.array(names)[_in_golden_order(len(names), n)]}
     table = Table.of(point | _columns(machine, position) | tool)
     if settings.method != LENGTHS:
         return table
@@ -85,14 +88,15 @@ def without_errors(settings: Settings, table: Table, files: Files, tracker: Arra
         return table, files
     places = places_read(settings, table, files)
     if settings.method == STANDSTILL:
-        seen = poses.apply(poses.inverse(tracker), places.T)
-        return table.joined({" ".join(CARTESIAN) + " [mm]": seen}), files
+        in_tracker = poses.apply(poses.inverse(tracker), places.T)
+        return table.joined({" ".join(CARTESIAN) + " [mm]": in_tracker}), files
     names = list(dict.fromkeys(table.texts("station")))
     given = files.listed_stations
     stations = listed_places("station", names, around(places, len(names))) if given is None else given
     files = replace(files, stations=stations)
     listed = stations.texts("station")
     station = matched(table, "station", listed, stations.file)
+    # an interferometer counts from its first reading, and `towards` turns its length into that of the path
     path = np.linalg.norm(places - stations.stacked("xyz")[station].T, axis=0)
     first = np.array([int(np.argmax(station == i)) for i in range(len(listed))])
     air = air_of(settings.environment, table, "station")
@@ -115,21 +119,25 @@ def around(places: Array, count: int) -> Array:
 def clock(simulation: MachineSimulation, count: int) -> dict[str, Array]:
     """Return the times of successive readings, and their temperatures if it gets warmer."""
     number = np.arange(float(count))
-    warm = _FIRST_TEMPERATURE + simulation.warming * number / max(count - 1, 1)
+    warm = _REFERENCE_TEMPERATURE + simulation.warming * number / max(count - 1, 1)
     return {"t": number * simulation.interval} | ({"temp": warm} if simulation.warming else {})
 
 
 def sides_of(names: Sequence[str], position: Array, time: Array) -> dict[str, Array]:
     """Return by name from which sides the axes come to positions (axes, n), in the order of time; first from below."""
     order = np.argsort(time, kind="stable")
+    # before the first position each axis is 1 below it
     moves = np.diff(position[:, order], axis=1, prepend=position[:, order[:1]] - 1)
+    # argsort of an order is its inverse: back to the order of the readings
     return {name: last_sides(own)[np.argsort(order)] for name, own in zip(names, moves, strict=True)}
 
 
 def in_degrees(table: Table) -> Table:
     """Return a table whose columns of rotary axes and of angles of a tracker are in degrees, as people read them."""
     angles = [name for name in ("a", "b", "c", "azimuth", "elevation") if name in table]
-    return table.joined({f"{name} [deg]": np.round(np.degrees(table.numbers(name)), _SHOWN) for name in angles})
+    return table.joined(
+        {f"{name} [deg]": np.round(np.degrees(table.numbers(name)), _ANGLE_DECIMALS) for name in angles}
+    )
 
 
 def _at_balls(settings: Settings, files: Files, position: Array, margin: float) -> Table:
@@ -137,37 +145,42 @@ def _at_balls(settings: Settings, files: Files, position: Array, margin: float) 
     if files.balls is None:
         raise InputError("give the approximate places of the balls: `inputs: {balls: balls.csv}`")
     machine, balls, tools = machine_of(settings), files.balls.texts("ball"), list(settings.tools)
-    pair = _number_in_turn(len(balls) * len(tools), position.shape[1])
+    pair = _in_golden_order(len(balls) * len(tools), position.shape[1])
     ball, tool = pair % len(balls), pair // len(balls)
     tip = machine.tools[tool].T
-    met = brought_to(machine, position, files.balls.stacked("xyz")[ball].T, tip)
-    fits = _inside(machine, met, margin)
+    reached = brought_to(machine, position, files.balls.stacked("xyz")[ball].T, tip)
+    fits = _inside(machine, reached, margin)
     if not fits.any():
         text = f"in none of {len(fits)} poses does a tool reach a listed ball within the travel of X, Y and Z"
         raise InputError([files.balls.fault(text, "check the places of the balls, the tools and `at`")])
-    named = {"ball [text]": np.array(balls)[ball[fits]], **_columns(machine, _rounded(machine, met[:, fits]))}
+    named = {"ball [text]": np.array(balls)[ball[fits]], **_columns(machine, _rounded(machine, reached[:, fits]))}
     return Table.of(named | ({} if tools == [""] else {"tool": np.array(tools)[tool[fits]]}))
 
 
 def _inside(machine: Machine, position: Array, margin: float) -> Mask:
+    """Return which positions (axes, n) lie in the travel, of linear axes with a margin [mm]."""
     gap = np.array([0.0 if isinstance(axis, RotaryAxis) else margin for axis in machine.axes])
     low, high = (machine.low + gap)[:, None], (machine.high - gap)[:, None]
     return np.asarray(((position >= low) & (position <= high)).all(axis=0))
 
 
-def _read(settings: Settings, files: Files) -> list[str]:
-    """Return the names of the tools and reflectors that are read; no tool that does not move against the instrument."""
+def _target_names(settings: Settings, files: Files) -> list[str]:
+    """Return the names of the tools and reflectors that are read; no tool that stands still for the instrument.
+
+    A chain that ends with the bed b has its spindle there: an instrument on the bed sees only reflectors move.
+    """
     reflectors = [] if files.reflectors is None else files.reflectors.texts("reflector")
-    at_rest = settings.instrument.on == "bed" and settings.machine.letters[-1] == "b"
-    return reflectors if reflectors and at_rest else [*settings.tools, *reflectors]
+    spindle_at_rest = settings.instrument.on == "bed" and settings.machine.letters[-1] == "b"
+    return reflectors if reflectors and spindle_at_rest else [*settings.tools, *reflectors]
 
 
-def _number_in_turn(members: int, count: int) -> Index:
-    """Return members in turn, by a sequence that no share of a range follows (multiples of the golden ratio)."""
+def _in_golden_order(members: int, count: int) -> Index:
+    """Return `count` numbers below `members` in the order of multiples of the golden ratio, which no axis follows."""
     return np.asarray(np.floor(members * np.mod(np.arange(1, count + 1) * _GOLDEN, 1.0)), dtype=np.intp)
 
 
 def _columns(machine: Machine, position: Array) -> dict[str, Array]:
+    """Return the columns of positions (axes, n), by heading: "x [mm]", "a [rad]"."""
     return {
         f"{axis.letter.lower()} [{'rad' if axis.letter in ANGLES else 'mm'}]": own
         for axis, own in zip(machine.axes, position, strict=True)
@@ -177,4 +190,6 @@ def _columns(machine: Machine, position: Array) -> dict[str, Array]:
 def _rounded(machine: Machine, position: Array) -> Array:
     """Return positions (axes, n) as a control shows them."""
     linear = np.array([axis.letter in AXES for axis in machine.axes])[:, None]
-    return np.where(linear, np.round(position, _TIGHT), np.radians(np.round(np.degrees(position), _TIGHT)))
+    return np.where(
+        linear, np.round(position, _POSE_DECIMALS), np.radians(np.round(np.degrees(position), _POSE_DECIMALS))
+    )

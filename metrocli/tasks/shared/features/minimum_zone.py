@@ -26,8 +26,8 @@ _GAINS = (1e-2, 1e-4, 1e-6, 1e-9, 1e-12)
 """Relative gains of the next programme at which Newton's method takes over, tried one after the other"""
 _LEAST_WEIGHTS = (1e-9, 1e-5, 1e-2)
 """Least weights of a point in contact, tried one after the other"""
-_SMALLEST_REACH = 1e-7
-"""Reach of a linear programme, relative to the zone, at which no more is gained"""
+_SMALLEST_RADIUS = 1e-7
+"""Radius of a linear programme, relative to the zone, at which no more is gained"""
 _PROXIMAL = 0.1
 """Curvature by the level in a quadratic programme"""
 _PROVEN = 1e4
@@ -108,14 +108,14 @@ def _proven(ideal: Ideal, points: Array, contact: ZoneContact) -> bool:
 def _by_linear(ideal: Ideal, points: Array, wanted: list[int], gain: float) -> Ideal:
     """Return a feature near its minimum zone, where a linear programme promises less than a relative gain.
 
-    The programmes are solved within a reach, in units of the zone, that follows their success.
+    The programmes are solved within a radius, in units of the zone, that follows their success.
     """
-    level, reach = _level(ideal, points), 1.0
+    level, radius = _level(ideal, points), 1.0
     for _ in range(_ITERATIONS):
         values, rows = distances(ideal, points) / level, gradients(ideal, points)[0][:, wanted]
         # each point limits the zone on both sides
         values, rows = np.concatenate([values, -values]), np.concatenate([rows, -rows])
-        optimum, least = highest(-rows, -values, reach)
+        optimum, least = highest(-rows, -values, radius)
         step = np.zeros(STEP)
         step[wanted] = level * optimum.x
         trial = ideal.moved(step)
@@ -123,11 +123,11 @@ def _by_linear(ideal: Ideal, points: Array, wanted: list[int], gain: float) -> I
         promised = level * (1 + least)
         if reached < level:
             # a trust region: it grows where the programme kept more than half of what it promised
-            reach *= 2 if level - reached > promised / 2 else 0.5
+            radius *= 2 if level - reached > promised / 2 else 0.5
             ideal, level = trial, reached
         else:
-            reach /= 4
-        if promised <= gain * level or reach < _SMALLEST_REACH:
+            radius /= 4
+        if promised <= gain * level or radius < _SMALLEST_RADIUS:
             break
     return ideal
 

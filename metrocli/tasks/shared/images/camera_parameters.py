@@ -19,15 +19,15 @@ from metrocli.instruments.lenses.lens import UNITS
 from metrocli.result import Estimate
 from metrocli.table import Table
 
-HIGH = 0.95
-"""Correlations larger than this in magnitude are reported."""
+HIGH_CORRELATION = 0.95
+"""Magnitude from which a correlation is reported"""
 POSE_UNITS = ("mm", "mm", "mm", "rad", "rad", "rad")
 """Units of x y z alpha beta gamma"""
 
 
 @dataclass(frozen=True)
 class Parameters:
-    """Estimated parameters with their covariance."""
+    """Estimated parameters with their covariance, (k,) and (k, k)."""
 
     names: tuple[str, ...]
     values: Array
@@ -48,27 +48,28 @@ class Parameters:
     @property
     def correlation(self) -> Array:
         """Correlation matrix."""
-        std = np.where(self.std > 0, self.std, 1.0)
+        std = np.where(self.std > 0, self.std, 1.0)  # a fixed parameter correlates with none
         matrix: Array = self.covariance / std[:, None] / std
         return matrix
 
     def significance(self) -> Table:
         """Return each parameter with its expanded uncertainty U (k = 2).
 
-        `p_value` of distortion, skew and aspect is the two-sided probability of a value this far from 0 by chance.
+        `p_value` of distortion, skew and aspect is the two-sided probability of a value this far from 0 by chance,
+        `erfc(|x| / (sqrt(2) s))`.
         """
         std = np.where(self.std > 0, self.std, np.nan)
-        two_sided = np.array([math.erfc(z / math.sqrt(2)) for z in np.abs(self.values / std)])
+        by_chance = np.array([math.erfc(z / math.sqrt(2)) for z in np.abs(self.values / std)])
         # 0 is the value of no distortion; a focal length is far from 0 whatever it is
         neutral = np.isin(self.names, (*DISTORTION, "skew", "aspect"))
-        by_chance = np.where(neutral, two_sided, np.nan)
+        p_values = np.where(neutral, by_chance, np.nan)
         columns = {"parameter [text]": self.names, "value": self.values, "std": self.std, "U": 2 * self.std}
-        return Table.of({**columns, "unit [text]": self.units, "p_value": by_chance})
+        return Table.of({**columns, "unit [text]": self.units, "p_value": p_values})
 
     def high_correlations(self) -> Table:
-        """Return the pairs of parameters whose correlation exceeds HIGH in magnitude."""
+        """Return the pairs of parameters whose correlation exceeds HIGH_CORRELATION in magnitude."""
         matrix = self.correlation
-        first, second = np.nonzero(np.triu(np.abs(matrix) > HIGH, 1))
+        first, second = np.nonzero(np.triu(np.abs(matrix) > HIGH_CORRELATION, 1))
         names = np.array(self.names, dtype=str)
         return Table.of({"first": names[first], "second": names[second], "correlation": matrix[first, second]})
 
@@ -101,7 +102,8 @@ def parameters_of(
 ) -> Parameters:
     """Return the estimated parameters of each lens, then poses (6,), and the estimated effects.
 
-    The names of each lens and pose begin with its prefix. `blocks` are those of all that, in this order.
+    The names of each lens and of each of the `placed` poses begin with its prefix. `blocks` have all of these, in this
+    order.
     """
     lens = solution.blocks[camera.LENS]
     entries = np.argwhere(lens.free).tolist()
@@ -113,8 +115,10 @@ def parameters_of(
         changes.append(poses.euler_form_by_step(pose))
         names += [f"{prefix}{key}" for key in poses.EULER]
         units += POSE_UNITS
+    from scipy.linalg import block_diag
+
     joint, added = solution.joint(blocks), estimates(effects, solution)
-    return with_effects(names, np.concatenate(values), units, joint, in_diagonal(changes), added)
+    return with_effects(names, np.concatenate(values), units, joint, block_diag(*changes), added)
 
 
 def with_effects(
@@ -122,25 +126,19 @@ def with_effects(
 ) -> Parameters:
     """Return parameters and behind them the estimates of effects.
 
-    `joint` (n, n) is the covariance of all their steps, of which `change` (k, k) makes that of the k parameters.
+    With `joint` Q (n, n), the covariance of all their steps, and `change` C (k, k), the derivatives of the k parameters
+    by theirs, the covariance is `F Q F'`, F = diag(C, I).
     """
-    whole = in_diagonal([change, np.eye(len(joint) - len(change))])
-    covariance = whole @ joint @ whole.T
+    from scipy.linalg import block_diag
+
+    by_steps = block_diag(change, np.eye(len(joint) - len(change)))
+    covariance = by_steps @ joint @ by_steps.T
     return Parameters(
         (*names, *(estimate.name for estimate in added)),
         np.concatenate([values, [estimate.value for estimate in added]]),
         (covariance + covariance.T) / 2,
         (*units, *(estimate.unit for estimate in added)),
     )
-
-
-def in_diagonal(parts: Sequence[Array]) -> Array:
-    """Return square matrices in the diagonal of one that is 0 elsewhere."""
-    ends = np.cumsum([len(part) for part in parts])
-    whole = np.zeros((ends[-1], ends[-1]))
-    for end, part in zip(ends.tolist(), parts, strict=True):
-        whole[end - len(part) : end, end - len(part) : end] = part
-    return whole
 
 
 def pose_columns(values: Array, covariance: Array) -> dict[str, Array]:

@@ -8,7 +8,7 @@ from matplotlib.patches import FancyBboxPatch, PathPatch
 from matplotlib.path import Path as MplPath
 
 from metrocli.frozen import dataclass
-from metrocli.plots.beside import Beside, LineageFile
+from metrocli.plots.context import LineageFile, ResultContext
 from metrocli.plots.style import Canvas
 from metrocli.result import Result
 
@@ -32,20 +32,20 @@ class Graph:
         return 1 + max(c for c, _ in self.place.values()), 1 + max(r for _, r in self.place.values())
 
 
-def data(result: Result, beside: Beside) -> Graph | None:
+def data(result: Result, context: ResultContext) -> Graph | None:
     """Return the graph; None for a result whose files are not recorded."""
-    if len(beside.lineage) < 2:
+    if len(context.lineage) < 2:
         return None
-    known = {file.name: file for file in beside.lineage}
+    known = {file.name: file for file in context.lineage}
     far: dict[str, int] = {}
-    _measure(beside.lineage[0].name, 0, known, far)
+    _measure(context.lineage[0].name, 0, known, far)
     last = max(far.values())
     place: dict[str, tuple[int, int]] = {}
     for distance in range(last + 1):
         names = [name for name in known if far.get(name) == distance]
-        names.sort(key=lambda name: (_level(name, beside.lineage, place), name))
+        names.sort(key=lambda name: (_level(name, context.lineage, place), name))
         place |= {name: (last - distance, row) for row, name in enumerate(names)}
-    return Graph(beside.lineage, place)
+    return Graph(context.lineage, place)
 
 
 def _measure(name: str, distance: int, known: Mapping[str, LineageFile], far: dict[str, int]) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from metrocli.arrays import Array
 from metrocli.frozen import dataclass
-from metrocli.plots.beside import Beside
+from metrocli.plots.context import ResultContext
 from metrocli.plots.style import Canvas
 from metrocli.result import Result
 
@@ -42,9 +42,9 @@ class HeldOut:
     findings: int
 
 
-def data(result: Result, beside: Beside) -> HeldOut | None:
+def data(result: Result, context: ResultContext) -> HeldOut | None:
     """Return the gains by part; None without a diagnosis that found something."""
-    diagnosis = beside.diagnosis or {}
+    diagnosis = context.diagnosis or {}
     chosen = [law for law in diagnosis.get("laws", ()) if law.get("chosen")]
     named = [(_name(effect), effect["gain"]) for effect in diagnosis.get("effects", ())]
     named += [(f"law {_name(law)}", law["gain"]) for law in chosen]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from metrocli.plots.beside import Beside
+from metrocli.plots.context import ResultContext
 from metrocli.plots.magnify import in_words, magnification
 from metrocli.plots.style import Canvas, arrows
 from metrocli.result import Result
@@ -18,9 +18,9 @@ _SHARE = 1 / 14
 Shown = list[LensDifference]
 
 
-def data(result: Result, beside: Beside) -> Shown | None:
+def data(result: Result, context: ResultContext) -> Shown | None:
     """Return the difference of each camera from the earlier result; None without one."""
-    return (lens_differences(beside.before, result) or None) if beside.before is not None else None
+    return (lens_differences(context.before, result) or None) if context.before is not None else None
 
 
 def height(shown: Shown) -> float:

@@ -1,4 +1,4 @@
-"""Figures that show a result with what stands beside it: values by hand, and files on the command line."""
+"""Figures that show a result in its context: values by hand, and files on the command line."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import pytest
 
 from metrocli import plots
 from metrocli.errors import UsageError
-from metrocli.plots.beside import Beside, LineageFile
+from metrocli.plots.context import LineageFile, ResultContext
 from metrocli.result import Result
 from metrocli.table import Table
 
@@ -38,7 +38,7 @@ def lengths(jump: float) -> Result:
 
 
 def test_before_and_after_are_shown_where_the_change_is() -> None:
-    found = plots.data_of("before-after", lengths(0.0), Beside(before=lengths(3.0)))
+    found = plots.data_of("before-after", lengths(0.0), ResultContext(before=lengths(3.0)))
     assert (found.about, found.place) == ("time", "tracer T2")
     # 49 times after 500 s, 100 readings of T2: the others are the same before and after
     assert found.before.w - found.after.w == pytest.approx(np.where(found.after.covariate > 500, 3.0, 0.0))
@@ -55,7 +55,7 @@ def test_results_of_other_readings_are_not_set_side_by_side() -> None:
     fewer = replace(table, columns={name: values[:-1] for name, values in table.columns.items()})
     for one in (changed, fewer):
         held = replace(lengths(0.0), tables={"residuals": one})
-        assert plots.data_of("before-after", held, Beside(before=lengths(3.0))) is None
+        assert plots.data_of("before-after", held, ResultContext(before=lengths(3.0))) is None
     with pytest.raises(UsageError, match="needs the result of the job without the extension, with the same readings"):
         plots.check(lengths(0.0), "before-after", Path("x.svg"))
 
@@ -73,23 +73,23 @@ def diagnosis(**more: Any) -> Mapping[str, Any]:
 
 
 def test_gains_by_part_are_largest_first_and_add_up() -> None:
-    found = plots.data_of("held-out", lengths(0.0), Beside(diagnosis=diagnosis()))
+    found = plots.data_of("held-out", lengths(0.0), ResultContext(diagnosis=diagnosis()))
     assert [(one.name, one.total) for one in found.gains] == [("law a1*t T1", 9.0), ("jump T2", 6.0)]
     assert found.gains[1].folds.tolist() == GAIN["folds"] and found.findings == 2
     many = [{"name": f"e{k}", "where": {}, "gain": {**GAIN, "folds": [float(k)]}} for k in range(7)]
     found = plots.data_of(
-        "held-out", lengths(0.0), Beside(diagnosis={"effects": many, "together": {**GAIN, "folds": [21.0]}})
+        "held-out", lengths(0.0), ResultContext(diagnosis={"effects": many, "together": {**GAIN, "folds": [21.0]}})
     )
     assert [one.name for one in found.gains] == ["all of them together", "e6", "e5", "e4"] and found.findings == 8
-    assert plots.data_of("held-out", lengths(0.0), Beside(diagnosis={"effects": []})) is None
+    assert plots.data_of("held-out", lengths(0.0), ResultContext(diagnosis={"effects": []})) is None
 
 
 def test_a_law_is_drawn_in_the_order_of_its_variable() -> None:
-    found = plots.data_of("law", lengths(0.0), Beside(diagnosis=diagnosis()))
+    found = plots.data_of("law", lengths(0.0), ResultContext(diagnosis=diagnosis()))
     assert found.text == "a1*t, added to length T1" and found.variable == "t (s)"
     assert [one.tolist() for one in (found.x, found.law, found.residual)] == [[0, 1, 2], [0, 2, 4], [-0.5, 2.5, 4.5]]
     assert found.scatter == pytest.approx((np.sqrt((0.25 + 6.25 + 20.25) / 3), 0.5))
-    assert plots.data_of("law", lengths(0.0), Beside(diagnosis=diagnosis(laws=[]))) is None
+    assert plots.data_of("law", lengths(0.0), ResultContext(diagnosis=diagnosis(laws=[]))) is None
 
 
 NODES = (
@@ -101,28 +101,28 @@ NODES = (
 
 
 def test_the_lineage_leads_from_left_to_right() -> None:
-    place = plots.data_of("lineage", lengths(0.0), Beside(lineage=NODES)).place
+    place = plots.data_of("lineage", lengths(0.0), ResultContext(lineage=NODES)).place
     assert place["results/part.h5"] == (2, 0) and place["img/*.png (9 files)"] == (0, 0)
     assert {place["results/camera.h5"], place["points.csv"]} == {(1, 0), (1, 1)}
     for one in NODES:
         assert all(place[need][0] < place[one.name][0] for need in one.needs)
-    assert plots.data_of("lineage", lengths(0.0), Beside(lineage=NODES[:1])) is None
+    assert plots.data_of("lineage", lengths(0.0), ResultContext(lineage=NODES[:1])) is None
 
 
 @pytest.mark.alike
 @pytest.mark.parametrize(
-    ("name", "beside", "words"),
+    ("name", "context", "words"),
     [
-        ("before-after", Beside(before=lengths(3.0)), ["of tracer T2, which changed most", "w (standard deviations)", "time (s)"]),
-        ("held-out", Beside(diagnosis=diagnosis()), ["jump T2: +6.0 ± 4.6 (standard deviation) in all", "below two standard deviations", "better in 2 of 3 parts"]),
-        ("law", Beside(diagnosis=diagnosis()), ["t (s)", "law and residual (µm)", "A law is no cause."]),
-        ("lineage", Beside(lineage=NODES), ["camera.h5", "calibrate-camera", "not fit for use (orange): points.csv."]),
+        ("before-after", ResultContext(before=lengths(3.0)), ["of tracer T2, which changed most", "w (standard deviations)", "time (s)"]),
+        ("held-out", ResultContext(diagnosis=diagnosis()), ["jump T2: +6.0 ± 4.6 (standard deviation) in all", "below two standard deviations", "better in 2 of 3 parts"]),
+        ("law", ResultContext(diagnosis=diagnosis()), ["t (s)", "law and residual (µm)", "A law is no cause."]),
+        ("lineage", ResultContext(lineage=NODES), ["camera.h5", "calibrate-camera", "not fit for use (orange): points.csv."]),
     ],
 )  # fmt: skip
-def test_the_figures_state_what_they_show(name: str, beside: Beside, words: list[str], tmp_path: Path) -> None:
+def test_the_figures_state_what_they_show(name: str, context: ResultContext, words: list[str], tmp_path: Path) -> None:
     from xml.etree import ElementTree as ET
 
-    plots.save(lengths(0.0), name, tmp_path / "x.svg", ".svg", beside=beside)
+    plots.save(lengths(0.0), name, tmp_path / "x.svg", ".svg", context=context)
     root = ET.fromstring((tmp_path / "x.svg").read_text(encoding="utf-8"))
     text = " ".join("".join(node.itertext()) for node in root.iter() if node.tag.endswith("text"))
     assert all(one in " ".join(text.split()) for one in (plots.title_of(name), *words)), text

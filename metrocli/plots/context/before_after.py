@@ -9,7 +9,7 @@ import numpy as np
 from metrocli.arrays import Array, Index
 from metrocli.frozen import dataclass
 from metrocli.plots.against import CAPTION, LABELS, Panel, draw_panel, panel_of
-from metrocli.plots.beside import Beside
+from metrocli.plots.context import ResultContext
 from metrocli.plots.magnify import MOST, words
 from metrocli.plots.noise_bands import trend
 from metrocli.plots.readings import PlottedResiduals, residuals_of
@@ -57,11 +57,11 @@ class _View:
         return panel_of(name, self.x, of.w[self.rows], lambda k: of.name(int(self.rows[k])), MOST // 2, len(self.rows))
 
 
-def data(result: Result, beside: Beside) -> BeforeAfter | None:
+def data(result: Result, context: ResultContext) -> BeforeAfter | None:
     """Return the readings that show the change best; None without an earlier result of the same readings."""
-    if beside.before is None:
+    if context.before is None:
         return None
-    pairs = list(zip(residuals_of(beside.before), residuals_of(result), strict=False))
+    pairs = list(zip(residuals_of(context.before), residuals_of(result), strict=False))
     if not pairs or not all(_same_readings(*pair) for pair in pairs):
         return None
     views = [view for pair in pairs for view in _views(*pair)]

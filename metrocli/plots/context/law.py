@@ -1,4 +1,4 @@
-"""The law that a diagnosis found, with the readings in which it found it."""
+"""The law that a diagnosis chose, with the readings that it changes."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 
 from metrocli.arrays import Array, Index
 from metrocli.frozen import dataclass
-from metrocli.plots.beside import Beside, chosen_law, law_in_words, sizes_in_words
+from metrocli.plots.context import ResultContext, chosen_law, law_in_words, sizes_in_words
 from metrocli.plots.magnify import micro, thinned, words
 from metrocli.plots.style import Canvas
 from metrocli.result import Result
@@ -18,7 +18,7 @@ _AS_CURVE = (
 
 
 @dataclass(frozen=True)
-class FoundLaw:
+class ChosenLaw:
     """What the figure shows."""
 
     text: str
@@ -26,45 +26,49 @@ class FoundLaw:
     variable: str
     """Name and unit of the variable; empty for a law that is no curve"""
     x: Array
+    """Variable at each reading; of a law that is no curve what it adds, (n,)"""
     law: Array
+    """What it adds to each reading, (n,)"""
     residual: Array
+    """Residual of the extended job, plus what the law adds, (n,)"""
     unit: str
     rows: Index
     """Readings that are shown"""
     curve: tuple[Array, Array]
-    """The line of the law"""
+    """The line of the law: x and what it adds"""
 
     @property
     def scatter(self) -> tuple[float, float]:
-        """Root mean square without and with the law."""
+        """Root mean square of the readings without and with the law."""
         return _rms(self.residual), _rms(self.residual - self.law)
 
 
-def data(result: Result, beside: Beside) -> FoundLaw | None:
+def data(result: Result, context: ResultContext) -> ChosenLaw | None:
     """Return the chosen law in the order of its variable; None without one."""
-    chosen = chosen_law(beside.diagnosis)
-    held = (chosen or {}).get("data")
-    if chosen is None or not held:
+    chosen = chosen_law(context.diagnosis)
+    columns = (chosen or {}).get("data")
+    if chosen is None or not columns:
         return None
-    order = np.argsort(held["x"], kind="stable")
-    x, law, residual = (np.array(held[name], dtype=float)[order] for name in ("x", "law", "residual"))
-    variable = f"{held['variable']} ({held['variable_unit'] or 1})" if held["variable"] else ""
-    fine = held.get("curve")
+    order = np.argsort(columns["x"], kind="stable")
+    x, law, residual = (np.array(columns[name], dtype=float)[order] for name in ("x", "law", "residual"))
+    variable = f"{columns['variable']} ({columns['variable_unit'] or 1})" if columns["variable"] else ""
+    # a law of a smooth variable has finer steps than the readings
+    fine = columns.get("curve")
     curve = (np.array(fine["x"]), np.array(fine["law"])) if fine else (x, law)
     text = ", ".join(filter(None, [law_in_words(chosen), sizes_in_words(chosen.get("parameters", {}))]))
-    return FoundLaw(text, variable, x, law, residual, held["unit"], thinned(x, residual), curve)
+    return ChosenLaw(text, variable, x, law, residual, columns["unit"], thinned(x, residual), curve)
 
 
 def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def height(shown: FoundLaw) -> float:
+def height(shown: ChosenLaw) -> float:
     """Return the height of the figure in inches."""
     return 3.4
 
 
-def draw(canvas: Canvas, law: FoundLaw) -> str:
+def draw(canvas: Canvas, law: ChosenLaw) -> str:
     """Draw the figure and return its caption."""
     theme, rows = canvas.theme, law.rows
     axes = canvas.axes()[0]

@@ -1,4 +1,8 @@
-"""What stands beside a result: its diagnosis, the result before an extension, and the files it was made from."""
+"""The context of a result: its diagnosis, the result before an extension, and the files it was made from.
+
+Figures of a result in its context: `before_after` (an extension), `held_out` and `law` (a diagnosis), `lineage`, and
+`lens_difference` (two cameras).
+"""
 
 from __future__ import annotations
 
@@ -25,8 +29,8 @@ class LineageFile:
 
 
 @dataclass(frozen=True)
-class Beside:
-    """What figures take beside the result; by default nothing."""
+class ResultContext:
+    """What figures show with a result; by default nothing."""
 
     diagnosis: Mapping[str, Any] | None = None
     """Output of `metrocli diagnose --json` for the job of the result"""
@@ -36,7 +40,8 @@ class Beside:
     """The result itself first"""
 
 
-ALONE = Beside()
+ALONE = ResultContext()
+"""The context of a result that is shown by itself"""
 
 
 def chosen_law(diagnosis: Mapping[str, Any] | None) -> Mapping[str, Any] | None:
