@@ -73,13 +73,17 @@ class Board:
             size,
         )
 
-    def written(self, stem: Path) -> None:
-        """Write both files."""
+    def written(self, stem: Path, of_images: Mapping[str, Array] | None = None) -> None:
+        """Write both files; `of_images` are further columns of the corners, with a value of each image."""
+        more = of_images or {}
         with Path(f"{stem}.observations.csv").open("w", encoding="utf-8", newline="") as file:
             rows = zip(self.image, self.target, self.uv, strict=True)
             csv.writer(file).writerows(
-                [("image", "target", "u_px", "v_px")]
-                + [(self.images[i], self.targets[t], repr(float(u)), repr(float(v))) for i, t, (u, v) in rows]
+                [("image", "target", "u_px", "v_px", *more)]
+                + [
+                    (self.images[i], self.targets[t], *map(repr, map(float, (u, v, *(of[i] for of in more.values())))))
+                    for i, t, (u, v) in rows
+                ]
             )
         with Path(f"{stem}.targets.csv").open("w", encoding="utf-8", newline="") as file:
             rows_of_list = [
@@ -137,6 +141,16 @@ class Fit:
     def residuals(self) -> Array:
         """Read minus predicted (n, 2)."""
         return self.board.uv - predicted(self.board, self.values, self.shifts, self.poses)
+
+    def contained(self, signature: Array) -> Array:
+        """Return the sizes to first order that the corners have of an effect (n, 2, k), (k,)."""
+        unknowns = _Unknowns(self.board, self.model, self.values)
+        own = unknowns.jacobian(unknowns.packed(self.values, self.shifts, self.poses))
+        columns, r = np.hstack([own, signature.reshape(len(own), -1)]), self.residuals.ravel()
+        root = np.sqrt(np.minimum(1.0, _LOSS * self.sigma / np.maximum(np.abs(r), 1e-300)))
+        scale = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+        sizes = np.linalg.lstsq(columns / scale * root[:, None], r * root, rcond=1e-10)[0] / scale
+        return np.asarray(sizes[own.shape[1] :])
 
     def log_score(self, one: Board, noise: float, weight: Array) -> float:
         """Return the log density of another image, whose pose is unknown, with the uncertainty of what is shared.

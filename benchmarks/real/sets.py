@@ -11,7 +11,7 @@ import numpy as np
 
 from benchmarks.fetched import Images
 from benchmarks.one_board import CAMERAS, IMAGES
-from benchmarks.real.boards import Board
+from benchmarks.real.boards import Array, Board
 from metrocli.formats import images
 from metrocli.targets.find import find
 from metrocli.targets.pattern import Pattern, pattern_points
@@ -68,10 +68,12 @@ class BoardSet:
             csv.writer(file).writerows([("target", "x_mm", "y_mm", "z_mm"), *rows])
         return Board.read(stem, self.size)
 
-    def job(self, folder: Path, board: Board, estimate: tuple[str, ...]) -> Path:
-        """Write the job of a board with its corners; return its path."""
+    def job(
+        self, folder: Path, board: Board, estimate: tuple[str, ...], of_images: Mapping[str, Array] | None = None
+    ) -> Path:
+        """Write the job of a board with its corners, with further columns perhaps; return its path."""
         folder.mkdir(parents=True, exist_ok=True)
-        board.written(folder / "board")
+        board.written(folder / "board", of_images)
         width, height = board.size
         names = ", ".join(estimate)
         text = JOB.format(stem="board", width=width, height=height, estimate=names, noise=self.noise)

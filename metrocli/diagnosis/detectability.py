@@ -22,7 +22,7 @@ from metrocli.diagnosis.linear.distributions import noncentrality, single_level
 from metrocli.diagnosis.linear.projection import Linearised
 from metrocli.diagnosis.linear.quadratics import ranks_of, roots
 from metrocli.diagnosis.linear.scans import thinned
-from metrocli.diagnosis.linear.signatures import signature
+from metrocli.diagnosis.linear.signatures import nonlinearity, signature
 from metrocli.diagnosis.power.average_power import ScatterCandidate, scatter_candidates, size_found
 from metrocli.diagnosis.power.collinear import Pair, pairs_of
 from metrocli.effects.effect import Effect
@@ -36,6 +36,9 @@ _QUANTILE = 1.96
 """Of the normal distribution, for bounds at 97.5 %"""
 _FORMS = 60
 """Largest number of forms of an effect (values of its scan) over which the power is averaged"""
+_BENT = 0.1
+"""Second-order share of a change from which nothing is excluded to first order: 0.4 to 3.5 of a sensor's tilt beside p1
+and p2, at most 0.03 of the other effects of lens and board"""
 _NAMED_ABSORBERS = 3
 _PART = 0.1
 """Fraction of the largest absorbed change below which an unknown is not named among those that absorb"""
@@ -71,6 +74,8 @@ class DetectableCandidate:
     """Whether its evidence would name it, which held-out readings did not confirm"""
     by_law: bool = False
     """Whether a law that was found stands for it"""
+    nonlinear: bool = False
+    """Whether its change is not linear up to the size that would be excluded, so that none is"""
 
     @property
     def absorbers(self) -> str:
@@ -143,7 +148,10 @@ def design(state: State, noise: float = 1.0, by_law: Collection[tuple[str, tuple
     """
     job = state.measurement.job
     every = (_candidate(state, *spot, noise) for spot in _spots(state))
-    candidates = tuple(replace(candidate, by_law=candidate.alternative.spot in by_law) for candidate in every)
+    candidates = tuple(
+        replace(candidate, by_law=candidate.alternative.spot in by_law, nonlinear=_is_nonlinear(state, candidate))
+        for candidate in every
+    )
     readings = tuple(_wrong_reading(state, e, noise) for e in job.effects if e.of_one_reading)
     pairs, scatters = tuple(pairs_of(state, candidates, noise)), scatter_candidates(state, noise)
     number = (part.key[0] for part in state.random if part.kind == CORRELATED)
@@ -212,6 +220,14 @@ def _candidate(state: State, family: int, chosen: Sequence[int], noise: float) -
     return DetectableCandidate(
         alternative, family, at, visible, size, hides, assumed, absorbers, missed, upper, share, required
     )
+
+
+def _is_nonlinear(state: State, candidate: DetectableCandidate) -> bool:
+    """Return whether a candidate that acts everywhere is not linear up to the size that would be excluded."""
+    own, m, size = candidate.alternative, state.measurement, max(candidate.detectable, candidate.upper)
+    if own.instance or own.effect.definition or not size <= candidate.plausible:
+        return False
+    return nonlinearity(m.job.model, m.system, own.effect, dict(own.scanned), size) > _BENT
 
 
 def _nets(state: State, family: int) -> Array:

@@ -24,7 +24,7 @@ class Status(StrEnum):
     EXCLUDED = "excluded"
     """Not found, although one of the largest usual size would have been (power at least 80 %); its bound is below it"""
     CANNOT_SEE = "cannot-see"
-    """Its smallest detectable size is larger than usual, or its scan too coarse for the readings"""
+    """Its smallest detectable size is larger than usual, its scan too coarse, or its change not linear in its size"""
     NOT_TESTABLE = "not-testable"
     """The unknowns of the job absorb it"""
     NOT_TESTED = "not-tested"
@@ -54,8 +54,8 @@ def status(candidate: DetectableCandidate, named: Iterable[IdentifiedEffect], de
         return Status.NOT_TESTABLE
     if not decided or candidate.required or candidate.by_law:
         return Status.NOT_DECIDED
-    seen = excluded_above(candidate) <= candidate.plausible and not candidate.missed and not is_swallowed(candidate)
-    return Status.EXCLUDED if seen else Status.CANNOT_SEE
+    unseen = candidate.missed or candidate.nonlinear or is_swallowed(candidate)
+    return Status.EXCLUDED if excluded_above(candidate) <= candidate.plausible and not unseen else Status.CANNOT_SEE
 
 
 def excluded_above(candidate: DetectableCandidate) -> float:
@@ -131,6 +131,8 @@ def reason(candidate: DetectableCandidate, word: str, structure: Sequence[str] =
     if word == Status.CANNOT_SEE and candidate.missed:
         name = effect.scanned[0].name
         return f"missed between values of {name}, which are further apart than the readings tell: scan a smaller range"
+    if word == Status.CANNOT_SEE and candidate.nonlinear:
+        return f"not linear at sizes such as {f'{size:.3g} {unit}'.strip()}: estimate it (`effects:`) to decide"
     if word == Status.CANNOT_SEE:
         hides = f"what it hides is for {parameter.sized(candidate.assumed)}"
         return f"detected from {f'{size:.3g} {unit}'.strip()} on; {seen_in_words(candidate)}; {hides}"

@@ -29,6 +29,36 @@ def signature(
     return full
 
 
+def nonlinearity(model: Model, system: Linearised, effect: Effect, scanned: Mapping[str, float], size: float) -> float:
+    """Return the second-order share of the visible change by an effect of one place, at a size of each parameter alone.
+
+    `|M (f(s) + f(-s) - 2 f(0))| / |M (f(s) - f(-s))|`, f the whitened predictions; the largest over its parameters.
+    """
+    extended = with_effect(model, effect, [()], scanned)
+    block = extended.blocks[extended.added[-1].block]
+    before = model.blocks.get(block.name)
+
+    def predicted(step: Array) -> Array:
+        blocks = {**extended.blocks, block.name: block.moved(step)}
+        rows = np.zeros(system.rows)
+        for group in extended.readings:
+            change, start = -group.residuals(blocks).T.ravel(), system.first[group.name]
+            rows[start : start + len(change)] = change / system.scale[start : start + len(change)]
+        return rows
+
+    still = predicted(np.zeros(block.values.shape))
+    shares = [0.0]
+    for column in np.flatnonzero(block.free[-1]):
+        if before is not None and column < before.size and before.free[-1, column]:
+            continue
+        step = np.zeros(block.values.shape)
+        step[-1, column] = size
+        up, down = predicted(step), predicted(-step)
+        seen = np.linalg.norm(system.seen(np.stack([up + down - 2 * still, up - down], axis=1)), axis=0)
+        shares.append(float(seen[0] / max(seen[1], 1e-300)))
+    return max(shares)
+
+
 def scan(
     model: Model,
     system: Linearised,

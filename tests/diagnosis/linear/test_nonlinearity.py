@@ -1,0 +1,24 @@
+"""Sizes are excluded to first order only where the change by an effect is linear up to them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from benchmarks.hidden import images
+from benchmarks.hidden.scenes import board_scene
+from metrocli.diagnosis.diagnose import what_can_be_seen
+from metrocli.diagnosis.status import Status, reason, status
+
+
+@pytest.mark.parametrize("seed", [2, 3])
+def test_a_tilted_sensor_beside_decentring_is_not_excluded(seed: int) -> None:
+    """p1 and p2 take up nearly all of its first order, so that its second order shows first."""
+    rng = np.random.default_rng(seed)
+    design = what_can_be_seen(images.read(board_scene(rng, 13, (9, 6)), rng).adjusted())
+    bent = [candidate for candidate in design.candidates if candidate.nonlinear]
+    assert [candidate.alternative.effect.name for candidate in bent] == ["sensor-tilt"]
+    assert status(bent[0], ()) == Status.CANNOT_SEE
+    assert reason(bent[0], Status.CANNOT_SEE).startswith("not linear at sizes such as")
+    linear = {candidate.alternative.effect.name: status(candidate, ()) for candidate in design.candidates}
+    assert linear["stretched-targets"] == linear["target-plane-bend"] == Status.EXCLUDED
