@@ -106,8 +106,9 @@ def _by_quantity(table: Table, source: str) -> Counter[tuple[str, str]]:
     # a reading of several components has a row for each
     counts = Counter((name, "") for name, part in zip(names, parts, strict=True) if part == parts[0])
     if "quantity" in table:
-        counts.update(zip(names, table.texts("quantity"), strict=True))
-    return counts
+        counts.update((name, what) for name, what in zip(names, table.texts("quantity"), strict=True) if what)
+    # bars and levelled heights, beside the readings of stations, are of no station
+    return Counter({key: count for key, count in counts.items() if key[0]})
 
 
 def _uncovered(

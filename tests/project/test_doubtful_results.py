@@ -89,6 +89,21 @@ def test_a_station_without_its_readings_of_one_quantity_is_named_with_it() -> No
     assert found[0].startswith("5 of 15 readings of station S1 are left out as outliers (5 of 5 d): ")
 
 
+def test_readings_without_a_quantity_are_counted_once() -> None:
+    """Lengths of an interferometer, beside sightings, are left out without the name of a quantity."""
+    names, quantity = (
+        ["I1", "I1", "I1", "S1"] + ["S1"] * 15 + ["I1"] * 6,
+        ["", "", "", "az"] + ["az"] * 15 + ["length"] * 6,
+    )
+    assert depleted(names, {"quantity": quantity}, 4) == ()
+
+
+def test_readings_of_no_station_are_no_station() -> None:
+    """Bars and levelled heights have none."""
+    assert depleted([""] * 12 + ["S1"] * 20 + ["S2"] * 20, {}, 6) == ()
+    assert depleted(["S1", "S2"] * 20 + [""] * 60, {}, 20) == ()
+
+
 def test_no_station_is_named_where_all_lost_their_readings() -> None:
     assert depleted(["S1", "S2"] * 20, {}, 20) == ()
 
