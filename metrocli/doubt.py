@@ -33,11 +33,12 @@ def doubts_of(result: Result, verdicts: Sequence[CriterionVerdict], strict: bool
     `strict` every warning is a reason too.
     """
     figures = result.statistics
+    thinned = _thinned(figures)
     own = (
         *result.doubts,
         *_misfit(figures, verdicts),
-        *_thinned(figures),
-        *_depleted(result.tables),
+        *thinned,
+        *_depleted(result.tables, bool(thinned)),
         *_uncovered(figures, verdicts),
     )
     return (*own, *result.warnings) if strict else own
@@ -78,8 +79,8 @@ def _thinned(statistics: Mapping[str, Scalar | Mapping[str, float]]) -> tuple[st
     )
 
 
-def _depleted(tables: Mapping[str, Table]) -> Iterator[str]:
-    """Yield a sentence for each station, or other source of readings, that lost many of them, unless all did."""
+def _depleted(tables: Mapping[str, Table], thinned: bool) -> Iterator[str]:
+    """Yield a sentence for each station, or other source of readings, that lost many; `thinned` if one is for all."""
     out, used = tables.get("rejected"), tables.get("residuals")
     if out is None or used is None or not len(out):
         return
@@ -90,7 +91,7 @@ def _depleted(tables: Mapping[str, Table]) -> Iterator[str]:
             name for (name, what), n in lost.items() if n >= _FEWEST_REJECTED and n > MOST_REJECTED * whole[name, what]
         }
         names = list(dict.fromkeys(name for name, _ in whole))
-        for name in names if len(many) < max(len(names), 2) else ():
+        for name in () if thinned and len(many) == len(names) else names:
             if name in many:
                 each = [f"{n} of {whole[name, what]} {what}" for (of, what), n in lost.items() if of == name and what]
                 yield (

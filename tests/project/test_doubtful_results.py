@@ -66,13 +66,13 @@ def test_more_than_a_third_left_out_is_doubtful(rejected: int, doubtful: bool) -
     assert bool(found(1.0, 50, rejected=rejected, readings=100, observations=200)) == doubtful
 
 
-def depleted(names: list[str], quantity: dict[str, list[str]], out: int) -> tuple[str, ...]:
+def depleted(names: list[str], quantity: dict[str, list[str]], out: int, **statistics: Any) -> tuple[str, ...]:
     """Doubts about readings of which the first ones are left out."""
     tables = {
         name: Table.of({"station": np.array(names)[rows], **{key: np.array(q)[rows] for key, q in quantity.items()}})
         for name, rows in (("rejected", slice(None, out)), ("residuals", slice(out, None)))
     }
-    return doubts_of(Result("straight-line", "", (), np.zeros((0, 0)), {}, tables=tables), ())
+    return doubts_of(Result("straight-line", "", (), np.zeros((0, 0)), statistics, tables=tables), ())
 
 
 def test_a_station_without_a_third_of_its_readings_is_named() -> None:
@@ -101,11 +101,18 @@ def test_readings_without_a_quantity_are_counted_once() -> None:
 def test_readings_of_no_station_are_no_station() -> None:
     """Bars and levelled heights have none."""
     assert depleted([""] * 12 + ["S1"] * 20 + ["S2"] * 20, {}, 6) == ()
-    assert depleted(["S1", "S2"] * 20 + [""] * 60, {}, 20) == ()
+    assert len(depleted(["S1", "S2"] * 20 + [""] * 6, {}, 20, rejected=20, readings=26)) == 1
 
 
 def test_no_station_is_named_where_all_lost_their_readings() -> None:
-    assert depleted(["S1", "S2"] * 20, {}, 20) == ()
+    (all_of_them,) = depleted(["S1", "S2"] * 20, {}, 20, rejected=20, readings=20)
+    assert all_of_them.startswith("20 of 40 readings are left out")
+
+
+def test_all_stations_are_named_without_their_distances() -> None:
+    """They are no more than a third of all readings."""
+    names, quantity = ["S1", "S2"] * 15, ["d"] * 10 + ["az"] * 10 + ["el"] * 10
+    assert len(depleted(names, {"quantity": quantity}, 10, rejected=10, readings=20)) == 2
 
 
 def test_an_estimated_noise_is_no_sigma0() -> None:
