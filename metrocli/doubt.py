@@ -18,8 +18,12 @@ MOST_REJECTED = 1 / 3
 """Largest share of outliers: more of them have one cause"""
 _FEWEST_REJECTED = 5
 """Fewest readings of one source that are left out for one cause: fewer may each be wrong by themselves"""
-_SOURCES = ("station", "tracer", "image", "view", "leg", "line")
-"""Columns that name what many readings have in common"""
+_SETTINGS, _PICTURE = "units, names and settings", "blur, motion and the names of targets"
+_SOURCES = {
+    "station": _SETTINGS, "tracer": _SETTINGS, "image": _PICTURE, "view": "the placing and the names of balls",
+    "leg": _SETTINGS, "line": _SETTINGS,
+}  # fmt: skip
+"""Columns that name what many readings have in common, and where the cause of many outliers may be"""
 
 
 def doubts_of(result: Result, verdicts: Sequence[CriterionVerdict], strict: bool = False) -> tuple[str, ...]:
@@ -97,7 +101,7 @@ def _depleted(tables: Mapping[str, Table], thinned: bool) -> Iterator[str]:
                 yield (
                     f"{lost[name, '']} of {whole[name, '']} readings of {source} {name} are left out as outliers"
                     f"{' (' * bool(each)}{', '.join(each)}{')' * bool(each)}: so many have one cause. "
-                    f"Look at units, names and settings of this {source}; do not use this result"
+                    f"Look at {_SOURCES[source]} of this {source}; do not use this result"
                 )
 
 

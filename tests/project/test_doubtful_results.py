@@ -89,6 +89,17 @@ def test_a_station_without_its_readings_of_one_quantity_is_named_with_it() -> No
     assert found[0].startswith("5 of 15 readings of station S1 are left out as outliers (5 of 5 d): ")
 
 
+def test_an_image_has_no_units() -> None:
+    tables = {
+        name: Table.of({"image": np.array(["a"] * n + ["b"] * others)})
+        for name, n, others in (("rejected", 6, 0), ("residuals", 6, 30))
+    }
+    (found,) = doubts_of(Result("straight-line", "", (), np.zeros((0, 0)), {}, tables=tables), ())
+    assert (
+        "6 of 12 readings of image a " in found and "names of targets of this image" in found and "units" not in found
+    )
+
+
 def test_readings_without_a_quantity_are_counted_once() -> None:
     """Lengths of an interferometer, beside sightings, are left out without the name of a quantity."""
     names, quantity = (
