@@ -18,8 +18,12 @@ MOST_REJECTED = 1 / 3
 """Largest share of outliers: more of them have one cause"""
 _FEWEST_REJECTED = 5
 """Fewest readings of one source that are left out for one cause: fewer may each be wrong by themselves"""
-_SOURCES = ("station", "tracer", "image", "view", "leg", "line")
-"""Columns that name what many readings have in common"""
+_SETTINGS, _PICTURE = "units, names and settings", "blur, motion and the names of targets"
+_SOURCES = {
+    "station": _SETTINGS, "tracer": _SETTINGS, "image": _PICTURE, "view": "the placing and the names of balls",
+    "leg": _SETTINGS, "line": _SETTINGS,
+}  # fmt: skip
+"""Columns that name what many readings have in common, and where the cause of many outliers may be"""
 
 
 def doubts_of(result: Result, verdicts: Sequence[CriterionVerdict], strict: bool = False) -> tuple[str, ...]:
@@ -33,11 +37,12 @@ def doubts_of(result: Result, verdicts: Sequence[CriterionVerdict], strict: bool
     `strict` every warning is a reason too.
     """
     figures = result.statistics
+    thinned = _thinned(figures)
     own = (
         *result.doubts,
         *_misfit(figures, verdicts),
-        *_thinned(figures),
-        *_depleted(result.tables),
+        *thinned,
+        *_depleted(result.tables, bool(thinned)),
         *_uncovered(figures, verdicts),
     )
     return (*own, *result.warnings) if strict else own
@@ -78,8 +83,8 @@ def _thinned(statistics: Mapping[str, Scalar | Mapping[str, float]]) -> tuple[st
     )
 
 
-def _depleted(tables: Mapping[str, Table]) -> Iterator[str]:
-    """Yield a sentence for each station, or other source of readings, that lost many of them, unless all did."""
+def _depleted(tables: Mapping[str, Table], thinned: bool) -> Iterator[str]:
+    """Yield a sentence for each station, or other source of readings, that lost many; `thinned` if one is for all."""
     out, used = tables.get("rejected"), tables.get("residuals")
     if out is None or used is None or not len(out):
         return
@@ -90,13 +95,13 @@ def _depleted(tables: Mapping[str, Table]) -> Iterator[str]:
             name for (name, what), n in lost.items() if n >= _FEWEST_REJECTED and n > MOST_REJECTED * whole[name, what]
         }
         names = list(dict.fromkeys(name for name, _ in whole))
-        for name in names if len(many) < max(len(names), 2) else ():
+        for name in () if thinned and len(many) == len(names) else names:
             if name in many:
                 each = [f"{n} of {whole[name, what]} {what}" for (of, what), n in lost.items() if of == name and what]
                 yield (
                     f"{lost[name, '']} of {whole[name, '']} readings of {source} {name} are left out as outliers"
                     f"{' (' * bool(each)}{', '.join(each)}{')' * bool(each)}: so many have one cause. "
-                    f"Look at units, names and settings of this {source}; do not use this result"
+                    f"Look at {_SOURCES[source]} of this {source}; do not use this result"
                 )
 
 
@@ -106,8 +111,9 @@ def _by_quantity(table: Table, source: str) -> Counter[tuple[str, str]]:
     # a reading of several components has a row for each
     counts = Counter((name, "") for name, part in zip(names, parts, strict=True) if part == parts[0])
     if "quantity" in table:
-        counts.update(zip(names, table.texts("quantity"), strict=True))
-    return counts
+        counts.update((name, what) for name, what in zip(names, table.texts("quantity"), strict=True) if what)
+    # bars and levelled heights, beside the readings of stations, are of no station
+    return Counter({key: count for key, count in counts.items() if key[0]})
 
 
 def _uncovered(

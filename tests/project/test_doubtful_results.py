@@ -66,13 +66,13 @@ def test_more_than_a_third_left_out_is_doubtful(rejected: int, doubtful: bool) -
     assert bool(found(1.0, 50, rejected=rejected, readings=100, observations=200)) == doubtful
 
 
-def depleted(names: list[str], quantity: dict[str, list[str]], out: int) -> tuple[str, ...]:
+def depleted(names: list[str], quantity: dict[str, list[str]], out: int, **statistics: Any) -> tuple[str, ...]:
     """Doubts about readings of which the first ones are left out."""
     tables = {
         name: Table.of({"station": np.array(names)[rows], **{key: np.array(q)[rows] for key, q in quantity.items()}})
         for name, rows in (("rejected", slice(None, out)), ("residuals", slice(out, None)))
     }
-    return doubts_of(Result("straight-line", "", (), np.zeros((0, 0)), {}, tables=tables), ())
+    return doubts_of(Result("straight-line", "", (), np.zeros((0, 0)), statistics, tables=tables), ())
 
 
 def test_a_station_without_a_third_of_its_readings_is_named() -> None:
@@ -89,8 +89,41 @@ def test_a_station_without_its_readings_of_one_quantity_is_named_with_it() -> No
     assert found[0].startswith("5 of 15 readings of station S1 are left out as outliers (5 of 5 d): ")
 
 
+def test_an_image_has_no_units() -> None:
+    tables = {
+        name: Table.of({"image": np.array(["a"] * n + ["b"] * others)})
+        for name, n, others in (("rejected", 6, 0), ("residuals", 6, 30))
+    }
+    (found,) = doubts_of(Result("straight-line", "", (), np.zeros((0, 0)), {}, tables=tables), ())
+    assert (
+        "6 of 12 readings of image a " in found and "names of targets of this image" in found and "units" not in found
+    )
+
+
+def test_readings_without_a_quantity_are_counted_once() -> None:
+    """Lengths of an interferometer, beside sightings, are left out without the name of a quantity."""
+    names, quantity = (
+        ["I1", "I1", "I1", "S1"] + ["S1"] * 15 + ["I1"] * 6,
+        ["", "", "", "az"] + ["az"] * 15 + ["length"] * 6,
+    )
+    assert depleted(names, {"quantity": quantity}, 4) == ()
+
+
+def test_readings_of_no_station_are_no_station() -> None:
+    """Bars and levelled heights have none."""
+    assert depleted([""] * 12 + ["S1"] * 20 + ["S2"] * 20, {}, 6) == ()
+    assert len(depleted(["S1", "S2"] * 20 + [""] * 6, {}, 20, rejected=20, readings=26)) == 1
+
+
 def test_no_station_is_named_where_all_lost_their_readings() -> None:
-    assert depleted(["S1", "S2"] * 20, {}, 20) == ()
+    (all_of_them,) = depleted(["S1", "S2"] * 20, {}, 20, rejected=20, readings=20)
+    assert all_of_them.startswith("20 of 40 readings are left out")
+
+
+def test_all_stations_are_named_without_their_distances() -> None:
+    """They are no more than a third of all readings."""
+    names, quantity = ["S1", "S2"] * 15, ["d"] * 10 + ["az"] * 10 + ["el"] * 10
+    assert len(depleted(names, {"quantity": quantity}, 10, rejected=10, readings=20)) == 2
 
 
 def test_an_estimated_noise_is_no_sigma0() -> None:

@@ -77,7 +77,10 @@ def solve(problem: MachineProblem, remove: bool) -> AdjustedMachine:
     identified = identify(problem)
     start = robust_start(identified.blocks.values(), problem.groups, (problem.readings.name,))
     begun = _KeptReadings(problem.with_blocks(start), identified, ())
-    if remove and problem.noise is not None and problem.noise.std is not None:
+    unknowns = sum(int(block.free.sum()) for block in identified.blocks.values())
+    estimated = problem.noise is not None and problem.noise.std is not None
+    # a robust fit meets as many readings as it has unknowns exactly: their median is no scale if they are the most
+    if remove and estimated and len(problem.names) > 2 * unknowns:
         # a repeatability that is estimated would grow to the size of a gross error
         far = gross(problem.readings, start)
         begun = begun.without(np.flatnonzero(far), far[far > 0])

@@ -155,14 +155,30 @@ class Screened:
     """Noise of the readings without outliers, in units of the declared one, at least 1: to it the tests refer"""
 
 
-def screened(solution: Solution, names: Sequence[str]) -> Screened:
+def without_worst_distance(problem: LaunchUnitProblem) -> tuple[Solution, SuspectedPose] | None:
+    """Return the solution without the distance that is farthest off where the beams meet, and that distance.
+
+    It is for readings whose adjustment does not converge: a gross distance draws the place far along a beam. None if
+    there is no distance, or no solution without it.
+    """
+    distances = next((group for group in problem.groups if group.name == lu.DISTANCE), None)
+    if distances is None:
+        return None
+    off = np.abs(distances.observations.whitened(distances.residuals(problem.blocks)))[0]
+    row = int(np.argmax(off))
+    solution = _without(problem.blocks, problem.all_groups, lu.DISTANCE, row)
+    gone = SuspectedPose(lu.DISTANCE, distances.observations.keys["pose"][row], float(off[row]))
+    return None if solution is None else (solution, gone)
+
+
+def screened(solution: Solution, names: Sequence[str], gone: Sequence[SuspectedPose] = ()) -> Screened:
     """Remove outliers from the named groups, the largest |w| first, until all pass the test at 5 % for all together.
 
     Each reading is tested against the noise of the others, at least the declared noise (external studentisation). A
-    reading that fails only because of an outlier passes once the outlier is removed.
+    reading that fails only because of an outlier passes once the outlier is removed. Those `gone` are left out before.
     """
-    total = sum(group.observations.count for group in solution.groups if group.name in names)
-    critical, outliers = critical_value(total), list[SuspectedPose]()
+    total = sum(group.observations.count for group in solution.groups if group.name in names) + len(gone)
+    critical, outliers = critical_value(total), [*gone]
     while len(outliers) < total // _SHARE and solution.dof > _FEW:
         worst, row = _worst(solution, names)
         others = max(solution.cost - worst.test**2, 0.0) / (solution.dof - 1)

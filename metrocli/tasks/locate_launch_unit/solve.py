@@ -28,6 +28,7 @@ from metrocli.tasks.locate_launch_unit.problem import (
     build,
     screened,
     uncertainty_along,
+    without_worst_distance,
 )
 from metrocli.tasks.locate_launch_unit.readings import ANGLES, AlignedPoses
 from metrocli.tasks.locate_launch_unit.settings import LaunchUnitNoise
@@ -127,9 +128,11 @@ def _located(readings: AlignedPoses, noise: LaunchUnitNoise, how: How) -> Locate
     solution = adjust(problem.blocks.values(), problem.all_groups, control=STOPPING)
     if solution.undetermined or solution.outcome is Outcome.TOO_FEW:
         raise UndeterminedError(_undetermined(problem, solution), solution.misfit)
-    if not solution.outcome.good:
+    begun = (solution, None) if solution.outcome.good else without_worst_distance(problem) if how.remove else None
+    if begun is None:
         raise NotConvergedError(f"{solution.outcome.value} ({solution.iterations} steps)", solution.misfit)
-    checked = screened(solution, [group.name for group in problem.groups])
+    solution, gone = begun
+    checked = screened(solution, [group.name for group in problem.groups], () if gone is None else (gone,))
     used = checked.solution if how.remove else solution
     values = used.blocks[lu.UNIT].values[0].copy()
     values[3] = wrapped(values[3])

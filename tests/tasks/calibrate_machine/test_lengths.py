@@ -100,6 +100,16 @@ def test_gross_lengths_are_no_repeatability() -> None:
     assert result.statistics["repeatability"] == pytest.approx(2e-3, rel=0.1)
 
 
+def test_no_length_is_gross_where_few_are_redundant() -> None:
+    """A robust fit meets most of them exactly, so that the others are many of their median from it."""
+    rng = np.random.default_rng(20)
+    table = lengths.measured(sim.random_machine(rng), rng, 60, repeatability=2e-3)
+    few = rows_of(table, np.sort(rng.permutation(len(table))[:90]))
+    noise = replace(lengths.NOISE, repeatability="estimated")
+    result = run(lengths.settings(noise=noise, outliers="remove"), few)
+    assert len(result.tables["rejected"]) == 0 and result.statistics["repeatability"] < 6e-3
+
+
 @pytest.mark.parametrize("order", ["XYZ", "YXZ"])
 def test_without_noise_the_error_of_both_tools_is_recovered_to_a_nanometre(order: str) -> None:
     rng = np.random.default_rng(31)

@@ -139,6 +139,18 @@ def test_a_wrong_pose_is_told_and_the_result_not_recommended() -> None:
     assert set(result.tables["outliers"].texts("pose")) >= {"P2"}
 
 
+@pytest.mark.parametrize(("seed", "pose", "factor"), [(3, 6, 10.0), (8, 1, 0.001), (12, 0, 10.0)])
+def test_one_gross_distance_is_left_out_though_nothing_converges_with_it(seed: int, pose: int, factor: float) -> None:
+    given = anywhere(8, seed, distances=True).noisy(np.random.default_rng(seed))
+    assert given.distance is not None
+    wrong = replace(given, distance=given.distance * np.where(np.arange(8) == pose, factor, 1.0))
+    job = locate_launch_unit.TASK.job(replace(settings(), outliers="remove"), wrong.table())
+    result = locate_launch_unit.run(job)
+    outliers = result.tables["outliers"]
+    assert (outliers.texts("pose")[0], outliers.texts("reading")[0]) == (f"P{pose}", "distance")
+    assert result.statistics["rejected"] == len(outliers) and not doubts_of(result, ())
+
+
 @pytest.mark.parametrize("seed", [6, 9])
 def test_distances_in_metres_end_in_few_steps(seed: int) -> None:
     """They and the angles contradict each other, and the place descends along a beam: more steps decide nothing."""
