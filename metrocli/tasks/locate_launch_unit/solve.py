@@ -128,17 +128,21 @@ def _located(readings: AlignedPoses, noise: LaunchUnitNoise, how: How) -> Locate
     solution = adjust(problem.blocks.values(), problem.all_groups, control=STOPPING)
     if solution.undetermined or solution.outcome is Outcome.TOO_FEW:
         raise UndeterminedError(_undetermined(problem, solution), solution.misfit)
-    begun = (solution, None) if solution.outcome.good else without_worst_distance(problem) if how.remove else None
-    if begun is None:
-        raise NotConvergedError(f"{solution.outcome.value} ({solution.iterations} steps)", solution.misfit)
-    solution, gone = begun
-    checked = screened(solution, [group.name for group in problem.groups], () if gone is None else (gone,))
+    gone: tuple[SuspectedPose, ...] = ()
+    if not solution.outcome.good:
+        fewer = without_worst_distance(problem)
+        if fewer is None or not how.remove:
+            failed = f"{solution.outcome.value} ({solution.iterations} steps)"
+            if fewer is not None and not fewer[0].sigma0 > _ABSURD:
+                failed += f"; without the distance of {fewer[1].pose} it does: correct it, or `outliers: remove`"
+            raise NotConvergedError(failed, solution.misfit)
+        solution, gone = fewer[0], (fewer[1],)
+    checked = screened(solution, [group.name for group in problem.groups], gone)
     used = checked.solution if how.remove else solution
     values = used.blocks[lu.UNIT].values[0].copy()
     values[3] = wrapped(values[3])
-    covariance = used.covariance_or_raise().of(lu.UNIT)
     checks = checked.outliers, checked.critical, checked.noise
-    return Located(values, covariance, readings, problem, used, *checks)
+    return Located(values, used.covariance_or_raise().of(lu.UNIT), readings, problem, used, *checks)
 
 
 def _undetermined(problem: LaunchUnitProblem, solution: Solution) -> str:
