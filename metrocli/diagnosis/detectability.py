@@ -36,9 +36,9 @@ _QUANTILE = 1.96
 """Of the normal distribution, for bounds at 97.5 %"""
 _FORMS = 60
 """Largest number of forms of an effect (values of its scan) over which the power is averaged"""
-_BENT = 0.1
-"""Second-order share of a change from which nothing is excluded to first order: 0.4 to 3.5 of a sensor's tilt beside p1
-and p2, at most 0.03 of the other effects of lens and board"""
+BENT = 0.1
+"""Second-order share of a change from which nothing is excluded to first order: a tilted sensor exceeds it beside
+p1 and p2, which take up its first order; the other effects of lens and board stay below half of it"""
 _NAMED_ABSORBERS = 3
 _PART = 0.1
 """Fraction of the largest absorbed change below which an unknown is not named among those that absorb"""
@@ -227,7 +227,7 @@ def _is_nonlinear(state: State, candidate: DetectableCandidate) -> bool:
     own, m, size = candidate.alternative, state.measurement, max(candidate.detectable, candidate.upper)
     if own.instance or own.effect.definition or not size <= candidate.plausible:
         return False
-    return nonlinearity(m.job.model, m.system, own.effect, dict(own.scanned), size) > _BENT
+    return nonlinearity(m.job.model, m.system, own.effect, dict(own.scanned), size) > BENT
 
 
 def _nets(state: State, family: int) -> Array:

@@ -32,7 +32,8 @@ def signature(
 def nonlinearity(model: Model, system: Linearised, effect: Effect, scanned: Mapping[str, float], size: float) -> float:
     """Return the second-order share of the visible change by an effect of one place, at a size of each parameter alone.
 
-    `|M (f(s) + f(-s) - 2 f(0))| / |M (f(s) - f(-s))|`, f the whitened predictions; the largest over its parameters.
+    `|M (f(s) + f(-s) - 2 f(0))| / |M (f(s) - f(-s))|`, f the whitened predictions; the largest over its parameters. It
+    is infinite where a reading cannot be predicted at that size.
     """
     extended = with_effect(model, effect, [()], scanned)
     block = extended.blocks[extended.added[-1].block]
@@ -54,6 +55,8 @@ def nonlinearity(model: Model, system: Linearised, effect: Effect, scanned: Mapp
         step = np.zeros(block.values.shape)
         step[-1, column] = size
         up, down = predicted(step), predicted(-step)
+        if not np.isfinite(up + down).all():
+            return float("inf")
         seen = np.linalg.norm(system.seen(np.stack([up + down - 2 * still, up - down], axis=1)), axis=0)
         shares.append(float(seen[0] / max(seen[1], 1e-300)))
     return max(shares)

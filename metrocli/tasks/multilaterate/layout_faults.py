@@ -51,7 +51,7 @@ def must_carry(network: TracerNetwork, solution: Solution, whole: TracerNetwork)
     if count - used > MOST_REJECTED * count:
         # not the layout is to blame: lengths that contradict each other like this call for another reading of the files
         raise UndeterminedError(
-            f"{count - used} of {count} lengths contradict the others, and the rest does not determine the points\n"
+            f"{count - used} of {count} lengths contradict each other; without them the points are not determined\n"
             f"  why: {APART}",
             float("inf"),
         )

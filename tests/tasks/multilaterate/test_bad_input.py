@@ -233,7 +233,9 @@ def test_lengths_of_other_rows_are_no_fault_of_the_layout(tmp_path: Path, metroc
     names, values = zip(*(row.rsplit(",", 1) for row in rest), strict=True)
     file.write_text("\n".join([head, *map(",".join, zip(names, [*values[1:], values[0]], strict=True))]) + "\n")
     ran = metrocli("multilaterate", tmp_path / "gear/jobs/tip3.yaml", "--set", "outliers=remove")
-    assert ran.code == 4 and "lengths contradict the others, and the rest does not determine" in ran.err, ran.err
+    assert ran.code == 4 and "lengths contradict each other; without them the points are not determined" in ran.err, (
+        ran.err
+    )
 
 
 def test_a_wrong_entry_among_the_points_is_named(folder: Path, metrocli: Metrocli) -> None:
