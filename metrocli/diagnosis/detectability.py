@@ -223,9 +223,12 @@ def _candidate(state: State, family: int, chosen: Sequence[int], noise: float) -
 
 
 def _is_nonlinear(state: State, candidate: DetectableCandidate) -> bool:
-    """Return whether a candidate that acts everywhere is not linear up to the size that would be excluded."""
+    """Return whether a candidate is not linear up to the size that would be excluded.
+
+    Columns of the job's own blocks, such as terms of a lens, bend; what a link adds is linear itself.
+    """
     own, m, size = candidate.alternative, state.measurement, max(candidate.detectable, candidate.upper)
-    if own.instance or own.effect.definition or not size <= candidate.plausible:
+    if own.effect.link is not None or own.instance or not size <= candidate.plausible:
         return False
     return nonlinearity(m.job.model, m.system, own.effect, dict(own.scanned), size) > BENT
 
