@@ -178,7 +178,7 @@ class FieldSolution:
             controlled = share > 1e-6
             root = np.sqrt(np.where(controlled, share, 1.0))
             normalised = np.where(controlled, observations.whitened(values) / root, 0.0)
-            parts.append(Residuals(values, observations.sigma, share, normalised))
+            parts.append(Residuals(values, observations.stds, share, normalised))
         return tuple(parts)
 
 

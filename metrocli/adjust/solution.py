@@ -120,7 +120,7 @@ def residuals_of(solution: Solution, group: Group) -> Residuals:
     # below it the root of the redundancy is rounding, and w would be noise of any size
     controlled = redundancy > 1e-6
     normalised = np.where(controlled, whitened / np.sqrt(np.where(controlled, redundancy, 1.0)), 0.0)
-    return Residuals(values, group.observations.sigma, redundancy, normalised)
+    return Residuals(values, group.observations.stds, redundancy, normalised)
 
 
 def _adjusted(solution: Solution, group: Group) -> tuple[Array, Array]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -13,6 +13,7 @@ from metrocli.diagnosis.correlated_error import CorrelatedError
 from metrocli.diagnosis.evidence.identified import IdentifiedEffect
 from metrocli.diagnosis.findings import Diagnosis, RandomEffect
 from metrocli.effects.effect import Parameter
+from metrocli.effects.variance_groups import StatedVariance
 from metrocli.nodes import Node, node_of
 from metrocli.units import parse_quantity
 
@@ -62,6 +63,17 @@ def correlated_as_job(error: CorrelatedError) -> Mapping[str, str]:
     entry = {"covariate": error.covariate} | ({"by": error.by} if error.by else {})
     entry |= {"only": error.place} if error.place else {}
     return entry | {"length": f"{error.length:.6g}", "std": _written(float(f"{error.std / size:.3g}"), symbol)}
+
+
+def variance_groups_as_job(diagnosis: Diagnosis, stated: Sequence[StatedVariance]) -> Sequence[Mapping[str, str]]:
+    """Return the variance groups of a job with those that were found; readings of one that it states have both."""
+    ratios = {(group.by, group.only): group.ratio for group in stated}
+    places = diagnosis.job.model.places
+    for group in diagnosis.variance_groups:
+        if group.key in places:
+            at = group.key, group.name
+            ratios[at] = ratios.get(at, 1.0) * group.ratio
+    return [{"by": by, "only": only, "ratio": f"{ratio:.3g}"} for (by, only), ratio in ratios.items()]
 
 
 def proposed_noise(diagnosis: Diagnosis) -> str:

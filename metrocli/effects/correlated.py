@@ -29,6 +29,7 @@ from metrocli.effects.effect import Effect, Parameter
 from metrocli.effects.extension import extended, with_conditions, with_effect_everywhere
 from metrocli.effects.model import Model
 from metrocli.effects.requested import RequestedEffect
+from metrocli.effects.variance_groups import with_variance_groups
 from metrocli.errors import Fault, InputError
 from metrocli.frozen import dataclass
 from metrocli.nodes import Node
@@ -72,12 +73,12 @@ def requests_of(
 
 
 def with_all(model: Model, requests: Iterable[RequestedEffect]) -> Model:
-    """Return the model with the effects and the correlated errors that a job requests.
+    """Return the model with the effects, variance groups and correlated errors that a job requests.
 
     Raises InputError that lists every one that the readings cannot have, with the reason.
     """
     requests = tuple(requests)
-    model = extended(model, requests)
+    model = with_variance_groups(extended(model, requests), requests)
     stated = [(request.node, *request.correlation) for request in requests if request.correlation is not None]
     if not stated:
         return model

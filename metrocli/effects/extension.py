@@ -33,7 +33,7 @@ def extended(model: Model, requests: Iterable[RequestedEffect]) -> Model:
 
     Raises InputError that lists every effect that cannot be added, with the reason.
     """
-    requests = tuple(request for request in requests if request.correlation is None)
+    requests = tuple(request for request in requests if request.is_in_table)
     if not requests:
         return model
     model, faults = with_conditions(model), list[Fault]()

@@ -47,11 +47,18 @@ class RequestedEffect:
     """Standard deviation of the parameters at all places of its kind; 0 if it acts at one place"""
     correlation: tuple[StatedCorrelation, Covariates] | None = None
     """For a correlated error, which is no entry of the table: what the job states, and the covariates"""
+    variance_ratio: float = 0.0
+    """For a variance group, which is no entry of the table either: ratio of its standard deviations to the declared"""
 
     @property
     def name(self) -> str:
         """The name of the effect."""
         return self.forms[0].name
+
+    @property
+    def is_in_table(self) -> bool:
+        """Whether it is an effect: a correlated error and a variance group change the noise alone."""
+        return self.correlation is None and not self.variance_ratio
 
     def same_as(self, other: RequestedEffect) -> bool:
         """Whether another one is a duplicate: same name, place, forms and values.
@@ -153,13 +160,13 @@ def _as(effect: Effect, node: Node) -> tuple[dict[str, Any], list[Fault]]:
 def planted(requests: Iterable[RequestedEffect]) -> tuple[RequestedEffect, ...]:
     """Return the effects that a simulation contains: those whose parameters all have a value.
 
-    Effects that the job only estimates, and correlated errors, are left out. Raises InputError if an effect on the
-    command line lacks a value.
+    Effects that the job only estimates, correlated errors and variance groups are left out. Raises InputError if an
+    effect on the command line lacks a value.
     """
     missing = [
         (request, [p.name for p in request.forms[0].parameters if p.name not in request.values])
         for request in requests
-        if request.correlation is None
+        if request.is_in_table
     ]
     faults = [
         request.node.fault(f"{request.name}: {', '.join(names)} missing", _to_plant(request))

@@ -27,6 +27,7 @@ from metrocli.diagnosis.job_entries import (
     proposed_correlated,
     proposed_noise,
     scatter_as_job,
+    variance_groups_as_job,
     with_declared,
     with_model,
 )
@@ -250,6 +251,7 @@ def _extended(
         "define": _longer(job, "define", defined),
         "effects": _longer(job, "effects", effects),
         "correlated": _longer(job, "correlated", correlated),
+        "variance_groups": node_of(job.root, variance_groups_as_job(diagnosis, job.heading.variance_groups)),
     }
     output = result or job.output.with_name(f"{job.output.stem}.extended.h5")
     moved: Callable[[Node], Node] = lambda value: relocated(value, job.folder, folder)  # noqa: E731

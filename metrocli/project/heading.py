@@ -9,6 +9,7 @@ from typing import Any
 from metrocli import tasks
 from metrocli.effects.covariates import StatedCorrelation
 from metrocli.effects.own.definition import Definition
+from metrocli.effects.variance_groups import StatedVariance
 from metrocli.errors import Fault
 from metrocli.frozen import dataclass
 from metrocli.nodes import Node
@@ -147,6 +148,9 @@ class Heading:
     effects: tuple[Node, ...] = setting(_Effects(), "extensions of the model, by name", default=())
     correlated: tuple[StatedCorrelation, ...] = setting(
         ListOf(Section(StatedCorrelation)), "errors of the readings that vary smoothly with a covariate", default=()
+    )
+    variance_groups: tuple[StatedVariance, ...] = setting(
+        ListOf(Section(StatedVariance)), "places whose readings are noisier, or less noisy, than declared", default=()
     )
     define: tuple[Node, ...] = setting(_Definitions(), "user-defined effects", default=())
     effects_from: Node | None = setting(FileBeside(), "file with user-defined effects under `define:`", default=None)

@@ -181,7 +181,7 @@ def _with_effects(
         specs = [replace(item, spec=columns.reading(item.spec, further(), own.effects)) for item in job.inputs]
         job = replace(job, inputs=tuple(specs))
     requests = effects.read((*task.effects, *own.effects), job.named, faults) if job.named else ()
-    return job, (*requests, *_correlated(job, task, faults)), own
+    return job, (*requests, *_correlated(job, task, faults), *_variance_groups(job, task, faults)), own
 
 
 def _correlated(job: _ReadJob, task: Task[Any, Any], faults: list[Fault]) -> tuple[RequestedEffect, ...]:
@@ -195,6 +195,19 @@ def _correlated(job: _ReadJob, task: Task[Any, Any], faults: list[Fault]) -> tup
     from metrocli.effects import correlated
 
     return correlated.requests_of(job.heading.correlated, node.items, task.covariates)
+
+
+def _variance_groups(job: _ReadJob, task: Task[Any, Any], faults: list[Fault]) -> tuple[RequestedEffect, ...]:
+    """Return the variance groups that a job states, if its kind adjusts readings of several places."""
+    if job.heading is BAD or not job.heading.variance_groups:
+        return ()
+    node = job.root.at("variance_groups")
+    if task.diagnosed is None:
+        faults.append(node.fault(f"{job.kind} jobs take no `variance_groups`", "leave them out"))
+        return ()
+    from metrocli.effects import variance_groups
+
+    return variance_groups.requests_of(job.heading.variance_groups, node.items)
 
 
 def _checked(

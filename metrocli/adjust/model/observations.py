@@ -77,10 +77,12 @@ class Observations:
     unit: str = ""
     units: tuple[str, ...] = ()
     """Unit of each component where they differ: displacements and angles"""
+    ratios: Array | None = None
+    """Factors (n,) on the standard deviations of the readings, those of their variance groups; None means 1"""
     lattice: Lattice | None = None
     """The regular order of the readings of a tile; it stands for the `index` of blocks that are not in `index`"""
     _whitening: Array | None = field(default=None, init=False, repr=False)
-    """Inverse Cholesky factor of `covariance`, (d, d, n)"""
+    """Inverse Cholesky factor of the covariance of each reading, (d, d, n)"""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "sigma", np.broadcast_to(np.asarray(self.sigma, dtype=float), self.readings.shape))
@@ -89,6 +91,7 @@ class Observations:
             # once here and not at each step: the covariance of readings stays as it is through an adjustment
             inverse = np.linalg.inv(np.linalg.cholesky(np.moveaxis(self.covariance, -1, 0)))
             whitening = np.ascontiguousarray(np.moveaxis(inverse, 0, -1))
+            whitening = whitening if self.ratios is None else whitening / self.ratios
         object.__setattr__(self, "_whitening", whitening)
 
     @property
@@ -104,7 +107,14 @@ class Observations:
     @property
     def deviations(self) -> Array:
         """Standard deviation of each component, (d, n)."""
-        return self.sigma if self.covariance is None else np.sqrt(np.einsum("aan->an", self.covariance))
+        if self.covariance is None:
+            return self.stds
+        return np.asarray(np.sqrt(np.einsum("aan->an", self._covariances)))
+
+    @property
+    def stds(self) -> Array:
+        """Standard deviation of each component if the components are not correlated, (d, n)."""
+        return self.sigma if self.ratios is None else self.sigma * self.ratios
 
     def deviations_in(self, unit: str) -> Array:
         """Return the standard deviations of the components in a unit, (numbers,); none if it has no such."""
@@ -114,8 +124,8 @@ class Observations:
     def _covariances(self) -> Array:
         """Covariance of the components of each reading, (d, d, n), also where they are not correlated."""
         if self.covariance is not None:
-            return self.covariance
-        return np.asarray(self.sigma**2 * np.eye(len(self.sigma))[:, :, None])
+            return self.covariance if self.ratios is None else self.covariance * self.ratios**2
+        return np.asarray(self.stds**2 * np.eye(len(self.sigma))[:, :, None])
 
     def whitened(self, values: Array) -> Array:
         """Return values (d, ..., n) decorrelated and in units of their standard deviations."""
@@ -129,7 +139,8 @@ class Observations:
             ]
             return np.stack(rows)
         between = (1,) * (values.ndim - 2)
-        scaled: Array = values / self.sigma.reshape(self.sigma.shape[0], *between, self.sigma.shape[1])
+        sigma = self.stds
+        scaled: Array = values / sigma.reshape(sigma.shape[0], *between, sigma.shape[1])
         return scaled
 
     def selected(self, keep: Mask | Index) -> Observations:
@@ -161,6 +172,7 @@ class Observations:
             "readings": self.readings[:, chosen],
             "sigma": self.sigma[:, chosen],
             "covariance": None if self.covariance is None else self.covariance[:, :, chosen],
+            "ratios": None if self.ratios is None else self.ratios[chosen],
             "conditions": {name: values[chosen] for name, values in self.conditions.items()},
         }
 
@@ -174,8 +186,9 @@ class Observations:
         return replace(
             self,
             covariance=np.concatenate([self._covariances, others._covariances], axis=2) if correlated else None,
+            ratios=None,
             readings=np.concatenate([self.readings, others.readings], axis=1),
-            sigma=np.concatenate([self.sigma, others.sigma], axis=1),
+            sigma=np.concatenate([self.stds, others.stds], axis=1),
             index={name: np.concatenate([index, others.index[name]], axis=-1) for name, index in self.index.items()},
             keys={name: (*values, *others.keys[name]) for name, values in self.keys.items()},
             conditions={

@@ -22,7 +22,7 @@ from metrocli.diagnosis.job_entries import proposed_correlated, proposed_noise
 from metrocli.diagnosis.laws.search import Law
 from metrocli.diagnosis.wrong_readings import Outlier
 from metrocli.project.diagnosed import Extended
-from metrocli.words import listed
+from metrocli.words import in_a_row, listed
 
 _SHOWN = 6
 _DESCRIBED = 4
@@ -118,16 +118,17 @@ def _extension(diagnosis: Diagnosis, law: Law | None) -> str:
 
 
 def _shared(diagnosis: Diagnosis) -> str:
-    """Return what the extended job has for errors that readings share."""
-    correlated = ["`correlated:` errors"] if proposed_correlated(diagnosis) else []
-    return " and ".join([*correlated, *(["`noise: structured`"] if proposed_noise(diagnosis) else [])])
+    """Return what the extended job has for errors that readings share, and for noisier ones beside these."""
+    shared = ["`correlated:` errors"] if proposed_correlated(diagnosis) else []
+    shared += ["`noise: structured`"] if proposed_noise(diagnosis) else []
+    places = {group.key for group in diagnosis.variance_groups} & {*diagnosis.job.model.places}
+    return in_a_row([*shared, *(["`variance_groups:`"] if shared and places else [])])
 
 
 def of_design(adjusted: AdjustedJob, design: Detectability) -> str:
     """Return the report of what a measurement can detect."""
     lines = ["what this measurement can detect (80 % power, counting everything that is tried):", ""]
-    lines = [*([_of_part(adjusted.part), ""] if adjusted.part else []), *lines]
-    lines += candidate_lines(adjusted, design, None)
+    lines = [*([_of_part(adjusted.part), ""] if adjusted.part else []), *lines, *candidate_lines(adjusted, design, None)]
     alike = [
         f"  {pair.one} and {pair.other}: "
         + (

@@ -183,7 +183,7 @@ def _read(group: Group, model: Model, rng: np.random.Generator) -> Array:
     exact = group.chain.predict(model.blocks, observations)
     if observations.covariance is not None:
         return exact
-    return np.asarray(exact + rng.normal(0.0, 1.0, exact.shape) * observations.sigma)
+    return np.asarray(exact + rng.normal(0.0, 1.0, exact.shape) * observations.stds)
 
 
 def _sightings(design: Table, model: Model, read_: dict[str, Array]) -> Table:

@@ -82,7 +82,7 @@ def _moving(model: Model, group: Group, condition: str) -> Array:
     """Return the change of readings if the unit moves along x, y, z in proportion to a condition, (3, n)."""
     along = group.observations.conditions[condition]
     touches = group.linear(model.blocks, frozenset({lu.UNIT})).touches
-    return np.asarray((touches[0].jacobian[0, :3] * group.observations.sigma[0]) * (along - along.mean()))
+    return np.asarray((touches[0].jacobian[0, :3] * group.observations.stds[0]) * (along - along.mean()))
 
 
 def _pose(group: Group) -> Index:

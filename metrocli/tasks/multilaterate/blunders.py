@@ -78,7 +78,7 @@ def far_off(network: TracerNetwork, state: Mapping[str, Block]) -> dict[int, Rej
     out: dict[int, Rejected] = {}
     for i in suspicious:
         rows = np.flatnonzero(point == i)
-        sight = _Sight(network.nominal[i], tracers[rows], observations.readings[0, rows], observations.sigma[0, rows])
+        sight = _Sight(network.nominal[i], tracers[rows], observations.readings[0, rows], observations.stds[0, rows])
         wrong = _wrong(sight, bound)
         reason = Reason.GROSS if len(wrong) < len(rows) else Reason.ALIKE
         out |= {int(row): Rejected(int(row), float("nan"), reason) for row in rows[wrong]}
@@ -88,7 +88,7 @@ def far_off(network: TracerNetwork, state: Mapping[str, Block]) -> dict[int, Rej
 def _suspicious(network: TracerNetwork, state: Mapping[str, Block]) -> tuple[Index, float, float]:
     """Return the points whose lengths do not meet, the bound of their sums of squares, and the median |misfit|."""
     observations = network.lengths.observations
-    miss = network.lengths.residuals(state)[0] / observations.sigma[0]
+    miss = network.lengths.residuals(state)[0] / observations.stds[0]
     typical = float(np.median(np.abs(miss)))
     # of the sum of squares: below it no single length of a point can be gross
     bound = (_GROSS * max(1.0, _MAD * typical)) ** 2

@@ -33,7 +33,7 @@ def weakness(network: TracerNetwork, solution: Solution) -> float:
     if solution.covariance is None:
         return float("inf")
     spread = np.einsum("mii->m", solution.covariance.members(t.POINT))[network.seen > 0].mean() / 3
-    return float(np.sqrt(max(spread, 0.0)) / np.sqrt((network.lengths.observations.sigma**2).mean()))
+    return float(np.sqrt(max(spread, 0.0)) / np.sqrt((network.lengths.observations.stds**2).mean()))
 
 
 def is_determined(network: TracerNetwork, solution: Solution) -> bool:

@@ -78,7 +78,7 @@ def _lengths(layout: PlannedNetwork) -> Table:
     """Return redundancy, minimal detectable error and external reliability of each length."""
     group = layout.network.lengths
     residuals, critical = residuals_of(layout.solution, group), critical_value(group.observations.count)
-    table = Table.of({**group.observations.keys, "sigma [mm]": group.observations.sigma[0]})
+    table = Table.of({**group.observations.keys, "sigma [mm]": group.observations.stds[0]})
     return table.joined(reliability(layout.solution, group, residuals, critical))
 
 

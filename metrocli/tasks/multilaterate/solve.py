@@ -289,6 +289,6 @@ def _worst(solved: AdjustedTracers) -> dict[int, Rejected]:
 def _with_reinstated(solved: AdjustedTracers, out: dict[int, Rejected]) -> dict[int, Rejected]:
     """Return the lengths that stay out; those left out at the start that fit the solution are used again."""
     observations = solved.whole.lengths.observations
-    miss: Array = solved.whole.lengths.residuals(solved.solution.blocks)[0] / observations.sigma[0]
+    miss: Array = solved.whole.lengths.residuals(solved.solution.blocks)[0] / observations.stds[0]
     alive = solved.network.seen[observations.index[t.POINT]] > 0
     return {row: rejected for row, rejected in out.items() if not (alive[row] and abs(miss[row]) < _INNOCENT)}

@@ -113,16 +113,18 @@ class PathNoise:
         """Return the noise with the repeatability after one step of Fisher scoring (restricted maximum likelihood).
 
         `name` is the group of the lengths. With v the residual, r_i the redundancy and s_i the standard deviation of
-        each reading that contains it, the step of the variance is `sum(v^2/s^4 - r_i/s^2) / sum(r_i/s^4)`. The
-        deviations of stops count as readings of zero (Förstner 1979; Koch, Parameter Estimation, 1999, 3.6).
+        each reading that contains it f_i times (variance groups), the step of the variance is
+        `sum f^2 (v^2/s^4 - r_i/s^2) / sum(f^4 r_i/s^4)`. The deviations of stops count as readings of zero
+        (Förstner 1979; Koch, Parameter Estimation, 1999, 3.6).
         """
         score, information = 0.0, 0.0
         for group in solution.groups:
             if group.name == name or group.chain.blocks == (t.STOP,):
                 share = group.observations.conditions.get(t.ALONE, np.zeros(1)) if group.name == name else np.ones(1)
-                residuals = residuals_of(solution, group)
-                variance = residuals.sigma**2
-                score += float((share * (residuals.values**2 / variance - residuals.redundancy) / variance).sum())
+                residuals, ratios = residuals_of(solution, group), group.observations.ratios
+                variance = residuals.sigma**2 / (1.0 if ratios is None else ratios**2)
+                excess = residuals.values**2 / residuals.sigma**2 - residuals.redundancy
+                score += float((share * excess / variance).sum())
                 information += float((share * residuals.redundancy / variance**2).sum())
         if not information:
             return replace(self, std=np.inf)

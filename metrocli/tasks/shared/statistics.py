@@ -227,10 +227,10 @@ def point_shift(solution: Solution, group: Group) -> Array:
     if place is not None and covariance.layout.eliminated == t.POINT:
         shape = group.observations.readings.shape
         moved = covariance.factor * covariance.eliminated.cross_covariance(place, shape)[:, 0]
-        return np.asarray(np.linalg.norm(moved / group.observations.sigma[0], axis=0))
+        return np.asarray(np.linalg.norm(moved / group.observations.stds[0], axis=0))
     shift = np.zeros((3, len(index)))
     touches = group.linear(solution.blocks, covariance.layout.wanted).touches
     for touch in touches:
         pair = covariance.pairs(t.POINT, index, touch.block, touch.index)
         shift += np.einsum("abn,bn->an", pair, touch.jacobian[0])
-    return np.asarray(np.linalg.norm(shift / group.observations.sigma[0], axis=0))
+    return np.asarray(np.linalg.norm(shift / group.observations.stds[0], axis=0))
