@@ -108,11 +108,10 @@ def _extension(diagnosis: Diagnosis, law: Law | None) -> str:
     added = ["the named effects"] if confirmed or diagnosis.scatters else []
     added += ["the law"] if law is not None else []
     shared = _shared(diagnosis)
-    if not added and not shared:
-        return "the job with what is said above to be right, and diagnose it again"
     if not added:
         what = "structure left" if diagnosis.left is not None else "smooth error"
-        return f"the job with {shared}: its uncertainties include the {what}"
+        right = "the job with what is said above to be right, and diagnose it again"
+        return f"the job with {shared}: its uncertainties include the {what}" if shared else right
     shared = f" and with {shared}" if shared else ""
     return f"the job extended by {' and '.join(added)}{shared}, and diagnose it again"
 
@@ -128,7 +127,8 @@ def _shared(diagnosis: Diagnosis) -> str:
 def of_design(adjusted: AdjustedJob, design: Detectability) -> str:
     """Return the report of what a measurement can detect."""
     lines = ["what this measurement can detect (80 % power, counting everything that is tried):", ""]
-    lines = [*([_of_part(adjusted.part), ""] if adjusted.part else []), *lines, *candidate_lines(adjusted, design, None)]
+    lines = [*([_of_part(adjusted.part), ""] if adjusted.part else []), *lines]
+    lines += candidate_lines(adjusted, design, None)
     alike = [
         f"  {pair.one} and {pair.other}: "
         + (
