@@ -84,10 +84,11 @@ def factored(gram: Array, priors: Array | float = 0.0) -> Array:
 
 def solved(lower: Array, right: Array) -> Array:
     """Return `lower^-1 right` of a triangular factor (p, p) and right sides (p, ...)."""
-    from scipy.linalg.lapack import dtrtrs
+    from scipy.linalg.blas import dtrsm
 
     if not right.size:
         return right
-    # without the checks of `solve_triangular`, which take longer than most of these systems
-    solution = dtrtrs(lower.T, right.reshape(len(right), -1), trans=True)[0]
+    # without the checks of `solve_triangular`, which take longer than most of these systems, and from the right: the
+    # transposed arrays are in the order of BLAS, so that nothing is copied to another order
+    solution = dtrsm(1.0, lower.T, right.reshape(len(right), -1).T, side=1).T
     return np.asarray(solution.reshape(right.shape))
