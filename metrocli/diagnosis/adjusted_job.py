@@ -140,6 +140,8 @@ class AdjustedJob:
     """Adjusts a model derived from this one to some of the readings of each group"""
     list_offset: float = 0.0
     """Distance of places from where the files list them, relative to what is plausible; above 1 a file is wrong"""
+    left_out: int = 0
+    """Readings that its adjustment left out as outliers"""
     fewest: int = 3
     """Fewest components of readings that an effect must change; what changes fewer is an outlier"""
     single_components: bool = False
@@ -203,6 +205,8 @@ class Misfit:
     """Distance of places from where the files list them, relative to what is plausible"""
     spread: float = 0.0
     """Root mean square residual, in declared standard deviations"""
+    left_out: int = 0
+    """Readings left out as outliers"""
 
     @property
     def worst(self) -> float:
@@ -233,7 +237,7 @@ def misfit_of(job: AdjustedJob) -> Misfit:
     # the median, and the worst group: some wrong readings make no file wrong, but one group in a wrong unit does
     medians = [float(np.median(np.abs(values))) for values in whitened]
     spreads = [float(np.sqrt(np.mean(values**2))) for values in whitened]
-    return Misfit(max(medians, default=0.0) / ABSURD, job.list_offset, max(spreads, default=0.0))
+    return Misfit(max(medians, default=0.0) / ABSURD, job.list_offset, max(spreads, default=0.0), job.left_out)
 
 
 def _whitened(group: Group, job: AdjustedJob) -> np.typing.NDArray[np.float64]:

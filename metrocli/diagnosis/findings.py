@@ -14,8 +14,8 @@ from metrocli.diagnosis.evidence.prices import LITTLE
 from metrocli.diagnosis.extended_fit import EffectSize
 from metrocli.diagnosis.laws.search import Law
 from metrocli.diagnosis.linear.projection import READING
-from metrocli.diagnosis.mistakes import Mistaken
 from metrocli.diagnosis.noise import NoiseRatio, VarianceGroup
+from metrocli.diagnosis.trials import Mistaken
 from metrocli.diagnosis.wrong_readings import Outlier
 from metrocli.effects.effect import Effect
 from metrocli.frozen import dataclass

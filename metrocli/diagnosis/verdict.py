@@ -19,8 +19,8 @@ from metrocli.diagnosis.findings import Diagnosis, Finding, RandomEffect, Remain
 from metrocli.diagnosis.laws.definition import written
 from metrocli.diagnosis.laws.search import Law
 from metrocli.diagnosis.linear.candidates import Candidate
-from metrocli.diagnosis.mistakes import Mistaken
 from metrocli.diagnosis.status import candidates, delivered
+from metrocli.diagnosis.trials import Mistaken
 from metrocli.diagnosis.wrong_readings import Outlier
 
 

@@ -34,7 +34,8 @@ from metrocli.diagnosis.job_entries import (
 from metrocli.diagnosis.laws.definition import as_define, as_wanted
 from metrocli.diagnosis.laws.search import Law
 from metrocli.diagnosis.linear.memory import as_fits
-from metrocli.diagnosis.mistakes import Others, without_mistakes
+from metrocli.diagnosis.mistakes import without_mistakes
+from metrocli.diagnosis.trials import Others
 from metrocli.effects.acting import Variable
 from metrocli.effects.own import columns
 from metrocli.errors import Fault, InputError, NotConvergedError, UndeterminedError, UsageError

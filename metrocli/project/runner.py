@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from metrocli import __version__, tasks
 from metrocli.arrays import keep_memory
-from metrocli.doubt import MOST, doubts_of
+from metrocli.doubt import doubts_of
 from metrocli.effects.requested import planted
 from metrocli.errors import Fault, InputError, MetrocliError, NotConvergedError, UndeterminedError, UsageError
 from metrocli.formats import hdf5
@@ -37,7 +37,7 @@ from metrocli.tasks.job import Job
 from metrocli.uncertainty.workers import Workers
 
 if TYPE_CHECKING:
-    from metrocli.diagnosis.mistakes import Others
+    from metrocli.diagnosis.trials import Others
     from metrocli.tasks.job import Adjustment
 
 HERE = Workers()
@@ -127,6 +127,7 @@ def counting(held: Mapping[str, Any], progress: Progress) -> dict[str, Any]:
 def _sound(file: JobFile, job: Job[Any, Any], progress: Progress) -> Result:
     """Return the result of a job; raise InputError if a file fits far better when it is read in another way."""
     from metrocli.diagnosis.mistakes import misread, suspicious
+    from metrocli.diagnosis.other_settings import fits
 
     task = tasks.KINDS[file.kind].task()
     failure: MetrocliError | None = None
@@ -137,7 +138,9 @@ def _sound(file: JobFile, job: Job[Any, Any], progress: Progress) -> Result:
             return result
         # a sound job pays nothing for the other readings of its files (docs/decisions/058)
         if not suspicious(sigma0, result.list_offset):
-            return _with_other_setting(result, adjustment, partial(task.others, job), sigma0 <= MOST)
+            rejected = result.statistics.get("rejected", 0)
+            sound = fits(sigma0, rejected if isinstance(rejected, int) else 0)
+            return _with_other_setting(result, adjustment, partial(task.others, job), sound)
     except MetrocliError as error:
         if task.diagnosed is None:
             raise
@@ -170,15 +173,15 @@ def _elsewhere(result: Result) -> Result:
 
 def _with_other_setting(result: Result, adjustment: Adjustment | None, others: Others, fits: bool) -> Result:
     """Return a result that is doubtful where the readings fit far better with another setting of its job."""
-    from metrocli.diagnosis.mistakes import with_other_setting
+    from metrocli.diagnosis.other_settings import with_other_setting
 
     if adjustment is None or not others(fits):
         return result
     mistaken = with_other_setting(adjustment(), others)
     if mistaken is None:
         return result
-    (wrong,), better = mistaken.mistakes, (mistaken.before / mistaken.after) ** 2
-    doubt = f"{wrong}: read so, the squared residuals are {better:.2g} times smaller; write {wrong.write}"
+    (wrong,) = mistaken.mistakes
+    doubt = f"{wrong}: read so, {mistaken.gain}; write {wrong.write}"
     return replace(result, doubts=(*result.doubts, doubt))
 
 

@@ -347,7 +347,7 @@ ELSEWHERE = {
     "{} are in {}": ((OF_NETWORKS, "test_a_mistake_is_found_and_its_correction_fits"), RIGHT),
     "{} of {} has the wrong sign": ((OF_MACHINES, "test_a_tool_with_the_wrong_sign_is_refused"), SOUND),
     "{} of {} with the other sign": ((OF_MACHINES, "test_a_tool_with_the_wrong_sign_is_refused"), SOUND),
-    "{}: read so, the squared residuals are {} times smaller; write {}": (
+    "{}: read so, {}; write {}": (
         (OF_MACHINES, "test_a_wrong_setting_makes_the_result_doubtful"), SOUND),
     "; they fit {}: correct the name": (
         (BLUNDERS, "test_lengths_under_another_name_are_named"), (BLUNDERS, "test_no_name_is_offered_for_lengths_that_fit_no_point")),

@@ -51,6 +51,7 @@ def adjusted_job(solved: AdjustedNetwork) -> AdjustedJob:
         Delivered(*delivered, (0, 1, 2), "um", "length"),
         refit,
         list_offset=solved.list_offset,
+        left_out=len(solved.rejected),
         fewest=1,
         certified=frozenset(
             reading.name for reading in model.readings if reading.name.startswith((BARS, GIVEN_POINTS))

@@ -45,6 +45,7 @@ def adjusted_job(problem: CameraProblem, adjusted: AdjustedImages) -> AdjustedJo
         folds(index[camera.TARGET if cmm else "view"]),
         _delivered(problem.rig, model),
         refit(problem.datum, problem.image_size),
+        left_out=len(adjusted.rejected),
         fewest=2,
         single_components=True,
         sharing=len(np.unique(index["view"])),

@@ -58,6 +58,7 @@ def adjusted_job(solved: AdjustedMachine) -> AdjustedJob:
         {group.name: _parts(group)},
         _delivered(problem.machine, model),
         refit,
+        left_out=len(solved.rejected),
         made_together=("leg",) if _condensed(group) else (),
         variations=lambda model, readings: () if _condensed(group) else _variations(model, readings),
         sharing=count(clusters_of(solved).of[group.name]),

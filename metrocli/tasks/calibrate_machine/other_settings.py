@@ -7,15 +7,17 @@ takes what these tables leave. So neither shows that the order is wrong.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations, permutations
 from typing import Any
 
 import numpy as np
 
+from metrocli.arrays import Array
 from metrocli.diagnosis.corrections import Mistake
 from metrocli.instruments.machine import ANGLES, AXES, axis_order
+from metrocli.instruments.six_dof import CHANNELS
 from metrocli.tasks.calibrate_machine.files import Files
 from metrocli.tasks.calibrate_machine.machine_settings import MachineSettings, RotarySettings
 from metrocli.tasks.calibrate_machine.settings import Settings
@@ -23,6 +25,7 @@ from metrocli.tasks.job import Job
 from metrocli.tasks.shared.lengths import ESTIMATED
 from metrocli.tasks.shared.noise import DECLARED
 from metrocli.units.people import format_quantity
+from metrocli.words import in_a_row
 
 _VAGUE = 1.0
 """Standard uncertainty of tool vectors that are not as listed [mm]"""
@@ -42,6 +45,7 @@ def other_settings(job: Job[Settings, Files], fits: bool) -> Iterator[tuple[Mist
         yield mistake, replace(job, settings=replace(job.settings, machine=machine))
     if not fits:
         yield from _zenith(job)
+        yield from _channels(job)
 
 
 def _zenith(job: Job[Settings, Files]) -> Iterator[tuple[Mistake, Job[Settings, Files]]]:
@@ -53,6 +57,33 @@ def _zenith(job: Job[Settings, Files]) -> Iterator[tuple[Mistake, Job[Settings, 
         mistake = Mistake("points", words, write, file=points.file, sort="zenith")
         other = points.joined({"elevation [rad]": np.pi / 2 - points.numbers("elevation")})
         yield mistake, replace(job, files=replace(job.files, points=other))
+
+
+def _channels(job: Job[Settings, Files]) -> Iterator[tuple[Mistake, Job[Settings, Files]]]:
+    """Yield channels of six-dof lines with the other sign, in all lines or in one, and two that are exchanged."""
+    lines = job.files.lines
+    if lines is None or any(channel not in lines for channel in CHANNELS):
+        return
+    values = {channel: lines.numbers(channel) for channel in CHANNELS}
+    kinds, named = (CHANNELS[:3], CHANNELS[3:]), np.array(lines.texts("line"))
+
+    def other(words: str, write: str, changed: Mapping[str, Array], columns: int = 1) -> tuple[Mistake, Any]:
+        mistake = Mistake("lines", words, write, file=lines.file, sort="channels", columns=columns)
+        table = replace(lines, columns={**lines.columns, **changed})
+        return mistake, replace(job, files=replace(job.files, lines=table))
+
+    for some in (*((channel,) for channel in CHANNELS), *kinds):
+        names = in_a_row(some)
+        signs = "has the wrong sign" if len(some) == 1 else "have the wrong signs"
+        yield other(f"{names} {signs}", f"{names} with the other sign", {c: -values[c] for c in some}, len(some))
+    for channel in CHANNELS:
+        for line in dict.fromkeys(named):
+            flipped = np.where(named == line, -values[channel], values[channel])
+            of_line = f"{channel} of line {line}"
+            yield other(f"{of_line} has the wrong sign", f"{of_line} with the other sign", {channel: flipped})
+    for one, two in (pair for kind in kinds for pair in combinations(kind, 2)):
+        write = f"{two} for {one} and {one} for {two} in the headings"
+        yield other(f"{one} and {two} are swapped", write, {one: values[two], two: values[one]}, 2)
 
 
 def _chains(machine: MachineSettings) -> Iterator[_Other]:

@@ -63,6 +63,7 @@ def adjusted_job(solved: AdjustedTracers) -> AdjustedJob:
         Delivered(*delivered, (0, 1, 2), "um", "length"),
         refit,
         list_offset=solved.list_offset,
+        left_out=len(solved.rejected),
         sharing=count(clusters_of(solved)),
         offers=offers,
     )

@@ -50,6 +50,7 @@ def adjusted_job(solved: AdjustedGrid) -> AdjustedJob:
         {READINGS: folds(index[bg.ARTEFACT], index[bg.VIEW])},
         Delivered("machine error", bg.MACHINE, (0, 1, 2), "um", "length"),
         refit,
+        left_out=len(solved.rejected),
         fewest=_FEWEST,
         single_components=True,
         sharing=sharing(solved),

@@ -15,7 +15,7 @@ from simulated import machine as sim
 from simulated import machine_lengths as lengths
 
 from metrocli.adjust.dense_jacobian import least_square, unit_noise
-from metrocli.diagnosis.mistakes import with_other_setting
+from metrocli.diagnosis.other_settings import with_other_setting
 from metrocli.formats import csv, hdf5
 from metrocli.tasks.calibrate_machine import task as calibrate_machine
 from metrocli.tasks.calibrate_machine.settings import Settings
