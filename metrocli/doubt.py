@@ -31,10 +31,10 @@ def doubts_of(result: Result, verdicts: Sequence[CriterionVerdict], strict: bool
 
     The reasons are those of the kind's own checks (`Result.doubts`), and residuals that contradict the declared noise:
     sigma0 above 2, or above what the job requires, and above the 99.9 % bound `sqrt(chi2(0.999; dof) / dof)`. So is a
-    measurement of which more than a third was left out as outliers, or of one station, tracer, image, view or line, in
-    all or of one quantity. A camera is doubtful whose projection into a corner of the image is uncertain by more than
-    5 % of its longer side (`corner_std`), where the job requires no other. With
-    `strict` every warning is a reason too.
+    measurement of which more than a third was left out as outliers, or all that others controlled. A third of one
+    station, tracer, image, view or line, in all or of one quantity, is enough. A camera is doubtful whose projection
+    into a corner of the image is uncertain by more than 5 % of its longer side (`corner_std`), where the job requires
+    no other. With `strict` every warning is a reason too.
     """
     figures = result.statistics
     thinned = _thinned(figures)
@@ -75,6 +75,11 @@ def _misfit(
 def _thinned(statistics: Mapping[str, Scalar | Mapping[str, float]]) -> tuple[str, ...]:
     rejected = _number(statistics.get("rejected"))
     whole = rejected + _number(statistics.get("readings", statistics.get("observations")))
+    if rejected > 0 and statistics.get("dof") == 0:
+        return (
+            f"{rejected:.0f} of {whole:.0f} readings are left out as outliers, and no others control the rest: "
+            "whether these are the wrong ones is not known, do not use this result",
+        )
     if not rejected > MOST_REJECTED * whole:
         return ()
     return (

@@ -66,6 +66,11 @@ def test_more_than_a_third_left_out_is_doubtful(rejected: int, doubtful: bool) -
     assert bool(found(1.0, 50, rejected=rejected, readings=100, observations=200)) == doubtful
 
 
+@pytest.mark.parametrize(("rejected", "dof", "doubtful"), [(1, 0, True), (1, 1, False), (0, 0, False)])
+def test_outliers_that_leave_nothing_controlled_are_doubtful(rejected: int, dof: int, doubtful: bool) -> None:
+    assert bool(found(1.0, dof, rejected=rejected, readings=20)) == doubtful
+
+
 def depleted(names: list[str], quantity: dict[str, list[str]], out: int, **statistics: Any) -> tuple[str, ...]:
     """Doubts about readings of which the first ones are left out."""
     tables = {
