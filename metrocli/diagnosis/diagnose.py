@@ -134,7 +134,7 @@ def _confirmed(
         judged = list(zip(state.named, names, gained, strict=False))
         nets = dict(zip((part.key for part in state.fixed), state.without_fixed().tolist(), strict=True))
         against = [effect for effect in judged if effect[2].log_score + (0.0 if quick else nets[effect[0].key]) <= 0]
-        unsure = None if against else least_sure(state, names)
+        unsure = None if against else least_sure(state, names, {e[0].key for e in judged if not e[2].shown})
         against = against or [effect for effect in judged if effect[0] is unsure]
         if not against:
             return state, names, gained, tuple(lost)

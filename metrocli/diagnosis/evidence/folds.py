@@ -5,7 +5,7 @@ Method: docs/algorithms/evidence.md.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from itertools import pairwise
@@ -164,13 +164,13 @@ def with_jackknife(state: State, effects: Sequence[IdentifiedEffect]) -> tuple[I
     return tuple(replace(effect, covariance=effect.covariance * factors.get(effect.key, 1.0)) for effect in effects)
 
 
-def least_sure(state: State, effects: Sequence[IdentifiedEffect]) -> Fixed | None:
-    """Return the effect of the least evidence among those that others can stand for and whose size may be nothing.
+def least_sure(state: State, effects: Sequence[IdentifiedEffect], unshown: Collection[Key] = ()) -> Fixed | None:
+    """Return the effect of the least evidence among the doubtful ones whose size may be nothing; None without one.
 
-    Two that nearly cancel each other may both pay, at sizes that hinge on a few images. An effect whose columns are not
-    those of others stays, with the uncertainty that it has.
+    Others can stand for a doubtful one, or its gain is `unshown`. Two that nearly cancel each other may both pay, at
+    sizes that hinge on a few images. Any other effect stays, with the uncertainty that it has.
     """
-    unsure = {effect.key for effect in effects if effect.level_of_size > LEVEL} & _collinear(state)
+    unsure = {effect.key for effect in effects if effect.level_of_size > LEVEL} & {*_collinear(state), *unshown}
     nets = zip(state.without_fixed().tolist(), state.fixed, strict=True) if unsure else ()
     own = [(net, part) for net, part in nets if part.sort == EFFECT and part.key in unsure]
     return min(own, key=lambda pair: pair[0])[1] if own else None

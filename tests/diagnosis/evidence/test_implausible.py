@@ -51,7 +51,7 @@ def test_a_wave_that_shows_is_one() -> None:
     assert gain > 20
 
 
-def test_a_size_within_the_scatter_of_the_images_has_an_uncertainty_that_shows_it() -> None:
+def test_a_size_within_the_scatter_of_the_images_that_no_gain_shows_is_not_confirmed() -> None:
     m, rng = board(12, (6, 5)), np.random.default_rng(8)
     skew = number_of_effect(m, "axis-skew")
     image = m.system.basis.member
@@ -60,12 +60,11 @@ def test_a_size_within_the_scatter_of_the_images_has_an_uncertainty_that_shows_i
     state = State.of(drawn, [drawn.effect(skew, 0)], [], [], 0)
     before = all_identified(state)
     assert before[0].level_of_size < 1e-5
-    # no other effect can stand for it, so that it stays, with what it changes from image to image
-    left, names, _, _ = _confirmed(state, map, quick=False)
-    assert len(left.named) == 1
-    assert names[0].level_of_size > 0.05
-    # were it not confirmed, the set would not be clean: what is seen and not named is left
-    structure = _left(State.of(drawn), (), (), None, (Unconfirmed("axis-skew", -0.5),))
+    left, names, _, lost = _confirmed(state, map, quick=False)
+    assert not left.named and not names
+    assert lost[0].name == "axis-skew" and lost[0].size_level is not None and lost[0].size_level > 0.05
+    # the set is not clean: what is seen and not named is left
+    structure = _left(State.of(drawn), (), (), None, lost)
     assert structure is not None and structure.p_value < 1e-4
     assert "axis-skew" in structure.depends_on[0]
     assert _left(State.of(drawn), (), (), None, ()) is None

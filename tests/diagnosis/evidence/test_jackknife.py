@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from metrocli.diagnosis.evidence.folds import with_jackknife
+from metrocli.diagnosis.evidence.folds import least_sure, with_jackknife
 from metrocli.diagnosis.evidence.held_out import folds_of
 from metrocli.diagnosis.evidence.identified import all_identified
 from metrocli.diagnosis.evidence.parts import READINGS
@@ -75,6 +75,21 @@ def test_what_differs_between_images_is_in_the_uncertainty() -> None:
     assert np.mean(white) < variance / 2
     # not smaller than what it scatters by, but for the 12 % of a mean of 150 squares; a jackknife is rather too large
     assert 0.8 * variance < np.mean(stated) < 3 * variance
+
+
+def test_a_size_that_hinges_on_images_stays_only_if_held_out_readings_show_it() -> None:
+    """Nothing else can stand for it; a name of 2.3 +- 1.5 mm/m had headed the report of a real board."""
+    rng = np.random.default_rng(23)
+    m = measurement(BOARD)
+    effect = m.effect(number_of_effect(m, "axis-skew"), 0)
+    images = folds_of(m)
+    alike = 30 * np.ones(images.max() + 1)
+    for own, sure in ((alike, True), (np.where(np.arange(len(alike)) % 2, 3, -1) * alike / 6, False)):
+        drawn = with_residual(m, rng.normal(size=m.system.rows) + effect.columns[:, 0] * own[images])
+        state = State.of(drawn, [effect], [], [], 0)
+        found = with_jackknife(state, all_identified(state, with_rivals=False))
+        assert least_sure(state, found) is None
+        assert (least_sure(state, found, {effect.key}) is None) == sure
 
 
 @pytest.mark.slow
