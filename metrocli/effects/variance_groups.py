@@ -20,7 +20,7 @@ from metrocli.errors import Fault, InputError
 from metrocli.frozen import dataclass
 from metrocli.nodes import Node
 from metrocli.settings import Number, Text, setting
-from metrocli.words import in_a_row, suggestion
+from metrocli.words import suggestion
 
 READING = "reading"
 """Kind of place whose names are the groups of readings, each with a declared noise of its own"""
@@ -91,7 +91,7 @@ def _misplaced(model: Model, stated: Sequence[tuple[RequestedEffect, str, str]],
     names = _names(model)
     if by not in names:
         at = request.node.get("by") or request.node
-        hint = f"one of: {in_a_row([*names])}" if names else "they are of one kind and have no places: leave it out"
+        hint = suggestion(by, [*names]) if names else "they are of one kind and have no places: leave it out"
         return [at.fault(f"{_KEY}: the readings have no '{by}' of their own", hint)]
     at = request.node.get("only") or request.node
     if only not in names[by]:
