@@ -171,8 +171,8 @@ def write_extended(
     path = path or job.file.with_name(f"{job.file.stem}.extended.yaml")
     stated = proposed_noise(diagnosis) or proposed_correlated(diagnosis) or _correction(diagnosis)
     # a file that is wrong is mended first: its places are as noisy as the mistake makes them
-    stated = stated or (proposed_variances(diagnosis) if diagnosis.mistaken is None else ())
-    others = bool(stated or diagnosis.scatters or any(finding.confirmed for finding in diagnosis.findings))
+    noisy = diagnosis.mistaken is None and proposed_variances(diagnosis)
+    others = bool(stated or noisy or diagnosis.scatters or any(finding.confirmed for finding in diagnosis.findings))
     if not others and diagnosis.law is None:
         return None
     refuse_inputs([path], (*job.stated_in, *job.files))
