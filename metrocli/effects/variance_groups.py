@@ -67,6 +67,15 @@ def with_variance_groups(model: Model, requests: Iterable[RequestedEffect]) -> M
     return model
 
 
+def still_read(model: Model, requests: Iterable[RequestedEffect]) -> tuple[RequestedEffect, ...]:
+    """Return the requests without the variance groups of which a model has no readings: all were left out as wrong."""
+    return tuple(
+        request
+        for request in requests
+        if not request.variance_ratio or not _misplaced(model, [(request, *next(iter(request.where.items())))], 0)
+    )
+
+
 def _at(model: Model, group: Group, by: str, only: str) -> Mask:
     """Return which readings of a group are those of a place, (n,)."""
     if by == READING:

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hints.bases import two_cameras
 from tasks.shared.images import small_jobs
 
 from metrocli.adjust.dense_jacobian import unit_noise
@@ -249,3 +250,52 @@ def test_a_clean_job_has_an_extended_one_where_a_noise_is_found(tmp_path: Path, 
         again = json.loads(metrocli("diagnose", extended, "--json").out)
         assert again["verdict"] == "clean" and not again["noise"]["apart"]
         assert not (tmp_path / "fit.extended.extended.yaml").exists()
+
+
+def with_noise(file: Path, images: tuple[str, ...], sigma: float) -> None:
+    """Add noise [px] to the readings of some images."""
+    rng, rows = np.random.default_rng(5), list(csv.DictReader(file.read_text().splitlines()))
+    for row in rows:
+        if row["image"] in images:
+            row |= {key: str(float(row[key]) + sigma * float(rng.normal())) for key in ("u_px", "v_px")}
+    with file.open("w", newline="") as target:
+        writer = csv.DictWriter(target, list(rows[0]))
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+@pytest.mark.parametrize("several", [False, True])
+def test_a_noise_that_is_stated_is_no_doubt_about_the_lens(several: bool, tmp_path: Path, metrocli: Metrocli) -> None:
+    """Noise that follows the residuals, of one camera and of several: no image stands out, and no lens is wrong."""
+    if several:
+        for name, text in two_cameras().items():
+            (tmp_path / name).write_text(text)
+    job = tmp_path / "job.yaml" if several else small_jobs.board(tmp_path)
+    noisy = ("left3.png", "left5.png", "right7.png") if several else ("view02.png", "view04.png")
+    with_noise(tmp_path / "observations.csv", noisy, 1.4)
+    job.write_text(job.read_text().replace("noise: 0.05 px", "noise: estimated"))
+    ran = metrocli("calibrate-camera", job, "--force")
+    assert ran.code == 6 and "times the median of the images" in ran.err
+    entries = ", ".join(f"{{by: image, only: {name}, ratio: 28}}" for name in noisy)
+    job.write_text(f"{job.read_text()}variance_groups: [{entries}]\n")
+    ran = metrocli("calibrate-camera", job, "--force")
+    assert ran.code == 0 and "times the median of the images" not in ran.err
+
+
+def test_a_place_whose_readings_are_all_left_out_is_no_fault(tmp_path: Path, metrocli: Metrocli) -> None:
+    """The one reading of a bar is wrong: the network is adjusted without it, and without its variance group."""
+    metrocli("init", tmp_path / "p", "--sample", "hall-trackers")
+    bars, path = tmp_path / "p" / "data" / "bars.csv", tmp_path / "p" / "jobs" / "hall.yaml"
+    bars.write_text(bars.read_text().replace("2527.5667", "2532.5667"))
+    entries = "[{by: bar, only: B1, ratio: 2}, {by: station, only: S3, ratio: 3}]"
+    path.write_text(f"{path.read_text()}outliers: remove\nvariance_groups: {entries}\n")
+    ran = metrocli("adjust-network", path, "--accept-doubtful")
+    assert ran.code == 0 and "left out as wrong: B1" in ran.err
+
+
+def test_a_plan_that_leaves_them_out_warns(tmp_path: Path, metrocli: Metrocli) -> None:
+    for sample, job, by in (("ball-cube", "views", "view"), ("machine-lengths", "lengths", "tracer")):
+        metrocli("init", tmp_path / sample, "--sample", sample)
+        path = tmp_path / sample / "jobs" / f"{job}.yaml"
+        path.write_text(f"{path.read_text()}variance_groups: [{{by: {by}, only: '1', ratio: 3}}]\n")
+        assert "the plan leaves out `variance_groups` of the job" in metrocli("plan", path).err
