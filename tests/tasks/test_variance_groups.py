@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,10 @@ from metrocli.adjust.dense_jacobian import unit_noise
 from metrocli.adjust.model.chain import Chain
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Observations
-from metrocli.project.diagnosed import adjusted_job_of
+from metrocli.diagnosis.corrections import Mistake
+from metrocli.diagnosis.job_entries import proposed_variances
+from metrocli.diagnosis.mistakes import Mistaken
+from metrocli.project.diagnosed import adjusted_job_of, carry_out, write_extended
 from metrocli.project.job import JobOptions, load
 
 Metrocli = Callable[..., Any]
@@ -299,3 +303,13 @@ def test_a_plan_that_leaves_them_out_warns(tmp_path: Path, metrocli: Metrocli) -
         path = tmp_path / sample / "jobs" / f"{job}.yaml"
         path.write_text(f"{path.read_text()}variance_groups: [{{by: {by}, only: '1', ratio: 3}}]\n")
         assert "the plan leaves out `variance_groups` of the job" in metrocli("plan", path).err
+
+
+def test_a_wrong_file_is_mended_before_its_noise_is_stated(tmp_path: Path) -> None:
+    """Readings of one kind are as noisy as a mistake makes them: no extended job states that."""
+    job = load(noisy_heights(tmp_path), JobOptions())
+    diagnosis = carry_out(job)
+    assert proposed_variances(diagnosis)
+    mistaken = Mistaken((Mistake("nominal", "z is of another part", "another list"),), diagnosis.job, 6.0, 6.0)
+    assert write_extended(job, replace(diagnosis, mistaken=mistaken)) is None
+    assert write_extended(job, diagnosis) is not None
