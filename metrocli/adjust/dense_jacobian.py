@@ -121,7 +121,7 @@ def _whitened(group: Group, blocks: Mapping[str, Block]) -> Array:
 
 def unit_noise(group: Group, sigma: Array | float = 1.0) -> Group:
     """Return the group with uncorrelated noise of one standard deviation `sigma` in every component."""
-    observations = replace(group.observations, covariance=None, sigma=np.asarray(sigma, dtype=float))
+    observations = replace(group.observations, covariance=None, ratios=None, sigma=np.asarray(sigma, dtype=float))
     return group.with_observations(observations)
 
 

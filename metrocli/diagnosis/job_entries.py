@@ -12,8 +12,9 @@ from metrocli.adjust.clusters.robust import ESTIMATED, FEWEST, FROM_RESIDUALS, S
 from metrocli.diagnosis.correlated_error import CorrelatedError
 from metrocli.diagnosis.evidence.identified import IdentifiedEffect
 from metrocli.diagnosis.findings import Diagnosis, RandomEffect
+from metrocli.diagnosis.noise import DECLARED_SIGMA, VarianceGroup
 from metrocli.effects.effect import Parameter
-from metrocli.effects.variance_groups import StatedVariance
+from metrocli.effects.variance_groups import MOST, StatedVariance
 from metrocli.nodes import Node, node_of
 from metrocli.units import parse_quantity
 
@@ -68,12 +69,15 @@ def correlated_as_job(error: CorrelatedError) -> Mapping[str, str]:
 def variance_groups_as_job(diagnosis: Diagnosis, stated: Sequence[StatedVariance]) -> Sequence[Mapping[str, str]]:
     """Return the variance groups of a job with those that were found; readings of one that it states have both."""
     ratios = {(group.by, group.only): group.ratio for group in stated}
-    places = diagnosis.job.model.places
-    for group in diagnosis.variance_groups:
-        if group.key in places:
-            at = group.key, group.name
-            ratios[at] = ratios.get(at, 1.0) * group.ratio
+    for group in proposed_variances(diagnosis):
+        at = group.key, group.name
+        ratios[at] = float(np.clip(ratios.get(at, 1.0) * group.ratio, 1 / MOST, MOST))
     return [{"by": by, "only": only, "ratio": f"{ratio:.3g}"} for (by, only), ratio in ratios.items()]
+
+
+def proposed_variances(diagnosis: Diagnosis) -> Sequence[VarianceGroup]:
+    """Return the variance groups that the extended job states: those of readings, not of values with a sigma."""
+    return [group for group in diagnosis.variance_groups if group.key != DECLARED_SIGMA]
 
 
 def proposed_noise(diagnosis: Diagnosis) -> str:

@@ -11,7 +11,7 @@ from metrocli.errors import Fault, InputError
 from metrocli.frozen import dataclass
 from metrocli.nodes import Node
 from metrocli.settings import BAD, Choice, Schema, Text
-from metrocli.words import suggestion
+from metrocli.words import in_a_row, suggestion
 
 
 @dataclass(frozen=True)
@@ -56,6 +56,11 @@ class RequestedEffect:
         return self.forms[0].name
 
     @property
+    def key(self) -> str:
+        """The key of the job under which it stands."""
+        return "variance_groups" if self.variance_ratio else "effects" if self.correlation is None else "correlated"
+
+    @property
     def is_in_table(self) -> bool:
         """Whether it is an effect: a correlated error and a variance group change the noise alone."""
         return self.correlation is None and not self.variance_ratio
@@ -72,6 +77,11 @@ class RequestedEffect:
             other.values,
             other.std,
         )
+
+
+def keys_of(requests: Iterable[RequestedEffect]) -> str:
+    """Return the keys of the job under which some effects stand, in words: `effects` and `variance_groups`."""
+    return in_a_row(list(dict.fromkeys(f"`{request.key}`" for request in requests)))
 
 
 def read(table: Sequence[Effect], nodes: Sequence[Node], faults: list[Fault]) -> tuple[RequestedEffect, ...]:

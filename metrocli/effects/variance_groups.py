@@ -6,20 +6,26 @@ extended job has them.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
+from metrocli.adjust.model.groups import Group
+from metrocli.arrays import Mask
 from metrocli.effects.effect import Effect
 from metrocli.effects.model import Model
-from metrocli.effects.requested import RequestedEffect
+from metrocli.effects.requested import PlaceName, RequestedEffect
 from metrocli.errors import Fault, InputError
 from metrocli.frozen import dataclass
 from metrocli.nodes import Node
 from metrocli.settings import Number, Text, setting
-from metrocli.words import in_a_row, suggestion
+from metrocli.words import suggestion
 
+READING = "reading"
+"""Kind of place whose names are the groups of readings, each with a declared noise of its own"""
+MOST = 1e6
+"""Largest ratio; the smallest is its reciprocal"""
 _KEY = "variance_groups"
 _NOISIER = Effect("variance-group", "readings of one place that are noisier, or less noisy, than declared", ())
 
@@ -29,8 +35,10 @@ class StatedVariance:
     """An entry of `variance_groups:`: readings of one place with a noise of their own."""
 
     by: str = setting(Text(), "kind of place, such as tracer or image")
-    only: str = setting(Text(), "the place of that kind whose readings they are")
-    ratio: float = setting(Number(above=0, maximum=1000), "their standard deviations, as multiples of the declared")
+    only: str = setting(PlaceName(), "the place of that kind whose readings they are")
+    ratio: float = setting(
+        Number(minimum=1 / MOST, maximum=MOST), "their standard deviations, as multiples of the declared"
+    )
 
 
 def requests_of(stated: Sequence[StatedVariance], nodes: Sequence[Node]) -> tuple[RequestedEffect, ...]:
@@ -54,25 +62,51 @@ def with_variance_groups(model: Model, requests: Iterable[RequestedEffect]) -> M
         # not those that it has: a model may be extended anew about another solution
         ratios, observations = np.ones(group.observations.count), group.observations
         for request, by, only in stated:
-            place = model.places[by]
-            index = observations.index.get(place.index)
-            if index is not None:
-                # a length has two ends
-                ratios[(np.atleast_2d(index) == place.names.index(only)).any(axis=0)] *= request.variance_ratio
+            ratios[_at(model, group, by, only)] *= request.variance_ratio
         model = model.with_group(replace(group, observations=replace(observations, ratios=ratios)))
     return model
+
+
+def still_read(model: Model, requests: Iterable[RequestedEffect]) -> tuple[RequestedEffect, ...]:
+    """Return the requests without the variance groups of which a model has no readings: all were left out as wrong."""
+    return tuple(
+        request
+        for request in requests
+        if not request.variance_ratio or not _misplaced(model, [(request, *next(iter(request.where.items())))], 0)
+    )
+
+
+def _at(model: Model, group: Group, by: str, only: str) -> Mask:
+    """Return which readings of a group are those of a place, (n,)."""
+    if by == READING:
+        return np.full(group.observations.count, group.name == only)
+    place = model.places[by]
+    index = group.observations.index.get(place.index)
+    if index is None:
+        return np.zeros(group.observations.count, dtype=bool)
+    # a length has two ends
+    return np.asarray((np.atleast_2d(index) == place.names.index(only)).any(axis=0))
+
+
+def _names(model: Model) -> Mapping[str, Sequence[str]]:
+    """Return the names of the places that readings can have, by their kind; a single group of readings is no part."""
+    names = {key: place.names for key, place in model.places.items() if place.index and any(place.names)}
+    return names | ({READING: [group.name for group in model.readings]} if model.readings[1:] else {})
 
 
 def _misplaced(model: Model, stated: Sequence[tuple[RequestedEffect, str, str]], number: int) -> list[Fault]:
     """Return a fault where an entry has no readings of its own, or stands twice."""
     request, by, only = stated[number]
-    kinds = [key for key, place in model.places.items() if place.index]
-    if by not in kinds:
+    names = _names(model)
+    if by not in names:
         at = request.node.get("by") or request.node
-        return [at.fault(f"{_KEY}: the readings have no '{by}' of their own", f"one of: {in_a_row(kinds)}")]
-    if only not in model.places[by].names:
-        at, names = request.node.get("only") or request.node, model.places[by].names
-        return [at.fault(f"{_KEY}: there is no {by} '{only}'", suggestion(only, names))]
+        hint = suggestion(by, [*names]) if names else "they are of one kind and have no places: leave it out"
+        return [at.fault(f"{_KEY}: the readings have no '{by}' of their own", hint)]
+    at = request.node.get("only") or request.node
+    if only not in names[by]:
+        return [at.fault(f"{_KEY}: there is no {by} '{only}'", suggestion(only, names[by]))]
+    if not any(_at(model, group, by, only).any() for group in model.readings):
+        return [at.fault(f"{_KEY}: {by} '{only}' has no readings", "leave it out")]
     if any((by, only) == (other, name) for _, other, name in stated[:number]):
         return [request.node.fault(f"{_KEY}: {by} {only} is listed twice", "leave one of them out")]
     return []

@@ -26,6 +26,7 @@ from metrocli.diagnosis.job_entries import (
     model_of,
     proposed_correlated,
     proposed_noise,
+    proposed_variances,
     scatter_as_job,
     variance_groups_as_job,
     with_declared,
@@ -170,7 +171,9 @@ def write_extended(
     """
     path = path or job.file.with_name(f"{job.file.stem}.extended.yaml")
     stated = proposed_noise(diagnosis) or proposed_correlated(diagnosis) or _correction(diagnosis)
-    others = bool(stated or diagnosis.scatters or any(finding.confirmed for finding in diagnosis.findings))
+    # a file that is wrong is mended first: its places are as noisy as the mistake makes them
+    noisy = diagnosis.mistaken is None and proposed_variances(diagnosis)
+    others = bool(stated or noisy or diagnosis.scatters or any(finding.confirmed for finding in diagnosis.findings))
     if not others and diagnosis.law is None:
         return None
     refuse_inputs([path], (*job.stated_in, *job.files))

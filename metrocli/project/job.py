@@ -215,7 +215,8 @@ def _checked(
 ) -> tuple[tuple[Input, ...], Path]:
     """Return the inputs within the ranges of the job, and its output; raise InputError with all faults."""
     heading, inputs = job.heading, job.inputs
-    if heading is not BAD and job.settings is not BAD and heading.require and len(requests) >= len(job.named):
+    named = sum(request.is_in_table for request in requests)
+    if heading is not BAD and job.settings is not BAD and heading.require and named >= len(job.named):
         known = figures_of(job.kind, job.settings, requests)
         for requirement in heading.require:
             requirement.limit_among(known, faults)

@@ -18,7 +18,7 @@ from metrocli.diagnosis.evidence.gain import Gain
 from metrocli.diagnosis.evidence.refined import STARTS
 from metrocli.diagnosis.extended_fit import EffectSize
 from metrocli.diagnosis.findings import Diagnosis, Finding, RandomEffect
-from metrocli.diagnosis.job_entries import proposed_correlated, proposed_noise
+from metrocli.diagnosis.job_entries import proposed_correlated, proposed_noise, proposed_variances
 from metrocli.diagnosis.laws.search import Law
 from metrocli.diagnosis.wrong_readings import Outlier
 from metrocli.project.diagnosed import Extended
@@ -104,14 +104,15 @@ def _of_part(part: MemberSubset) -> str:
 
 def _extension(diagnosis: Diagnosis, law: Law | None) -> str:
     """Return what an extended job with a law, or without, has that the job has not."""
-    confirmed = any(finding.confirmed for finding in diagnosis.findings)
-    added = ["the named effects"] if confirmed or diagnosis.scatters else []
+    added = ["the named effects"] if diagnosis.scatters or any(one.confirmed for one in diagnosis.findings) else []
     added += ["the law"] if law is not None else []
     shared = _shared(diagnosis)
+    if not added and not shared:
+        return "the job with what is said above to be right, and diagnose it again"
     if not added:
-        what = "structure left" if diagnosis.left is not None else "smooth error"
-        right = "the job with what is said above to be right, and diagnose it again"
-        return f"the job with {shared}: its uncertainties include the {what}" if shared else right
+        remains = proposed_noise(diagnosis) or proposed_correlated(diagnosis)
+        what = "include the structure left" if diagnosis.left is not None else "include the smooth error"
+        return f"the job with {shared}: its uncertainties {what if remains else 'are for the noise of each place'}"
     shared = f" and with {shared}" if shared else ""
     return f"the job extended by {' and '.join(added)}{shared}, and diagnose it again"
 
@@ -120,8 +121,7 @@ def _shared(diagnosis: Diagnosis) -> str:
     """Return what the extended job has for errors that readings share, and for noisier ones beside these."""
     shared = ["`correlated:` errors"] if proposed_correlated(diagnosis) else []
     shared += ["`noise: structured`"] if proposed_noise(diagnosis) else []
-    places = {group.key for group in diagnosis.variance_groups} & {*diagnosis.job.model.places}
-    return in_a_row([*shared, *(["`variance_groups:`"] if shared and places else [])])
+    return in_a_row([*shared, *(["`variance_groups:`"] if proposed_variances(diagnosis) else [])])
 
 
 def of_design(adjusted: AdjustedJob, design: Detectability) -> str:

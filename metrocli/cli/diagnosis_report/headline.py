@@ -100,8 +100,7 @@ def noise_lines(diagnosis: Diagnosis) -> Iterator[str]:
     if not diagnosis.job.smooth_covariates and not diagnosis.quick:
         yield "  Errors that vary smoothly are not sought: no covariate is known of all groups of readings."
     readings = [unit for unit in diagnosis.variance_groups if unit.key != DECLARED_SIGMA]
-    stated = any(unit.key != READING for unit in readings)
-    weighted = f"; `variance_groups:` weights {'it' if len(readings) == 1 else 'them'} so" if stated else ""
+    weighted = f"; `variance_groups:` weights {'it' if len(readings) == 1 else 'them'} so"
     if len(readings) == 1:
         yield f"  {noisier(readings[0])}, each relative to what is declared for it{weighted}."
     elif readings:

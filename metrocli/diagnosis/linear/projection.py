@@ -23,12 +23,11 @@ from metrocli.adjust.schur.layout import Layout
 from metrocli.diagnosis.linear.basis import Basis
 from metrocli.diagnosis.linear.solver import Solver
 from metrocli.effects.model import Model
+from metrocli.effects.variance_groups import READING as READING
 from metrocli.frozen import dataclass
 
 VISIBLE = 1e-6
 """Share of a signature below which its visible part is a rounding error"""
-READING = "reading"
-"""Kind of place whose names are the groups of readings, each with a declared noise of its own"""
 FEWEST = 10
 """Fewest readings, or prior values, of a group whose noise is tested: fewer show too little of their spread"""
 FLAT = 1e-8

@@ -18,6 +18,7 @@ from metrocli.arrays import Array, Mask
 from metrocli.effects.model import Model, Place
 from metrocli.effects.modelled import Modelled
 from metrocli.effects.requested import RequestedEffect
+from metrocli.effects.variance_groups import still_read
 from metrocli.errors import UndeterminedError
 from metrocli.frozen import dataclass
 from metrocli.instruments import stations as s
@@ -67,7 +68,9 @@ class Network(Modelled):
 
     def of(self, readings: NetworkReadings, blocks: Mapping[str, Block]) -> Network:
         """Return the network of other readings, at the values of blocks."""
-        other = build(self.settings, readings, self.start, self.requests).with_noise_times(self.factor)
+        bare = build(self.settings, readings, self.start)
+        requests = still_read(bare.model, self.requests)
+        other = replace(bare.with_effects(requests), requests=self.requests).with_noise_times(self.factor)
         alike = {name: block for name, block in blocks.items() if other.blocks[name].members == block.members}
         return other.with_blocks(
             {name: block.with_values(alike.get(name, block).values) for name, block in other.blocks.items()}

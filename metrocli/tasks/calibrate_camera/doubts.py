@@ -165,7 +165,9 @@ def unmodelled(adjusted: AdjustedImages, image: Index, size: tuple[int, int]) ->
     """
     if adjusted.noise is None or adjusted.structured is not None:
         return []
-    residuals, readings = adjusted.known_residuals().values, adjusted.group.observations.readings
+    observations = adjusted.group.observations
+    residuals, readings = adjusted.known_residuals().values, observations.readings
+    residuals = residuals if observations.ratios is None else residuals / observations.ratios
     many = (np.bincount(image) >= FEW)[image]
     if not many.any():
         return []

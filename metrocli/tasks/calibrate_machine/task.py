@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.effects.model import Model
+from metrocli.effects.requested import keys_of
 from metrocli.errors import Fault, InputError
 from metrocli.plan import Plan
 from metrocli.result import Result
@@ -36,7 +37,7 @@ from metrocli.tasks.shared.noise import weighed
 if TYPE_CHECKING:
     from metrocli.tasks.job import Adjustment
 
-_WITHOUT = "the plan leaves out the effects of the job: its uncertainties hold for the geometric errors alone"
+_WITHOUT = "the plan leaves out {} of the job: its uncertainties hold for the geometric errors alone"
 
 
 def run(job: Job[Settings, Files]) -> Result:
@@ -113,7 +114,8 @@ def plan(job: Job[Settings, Files]) -> Plan:
     if settings.machine.turns:
         wanted |= dict.fromkeys(TURNING, partial(plan_of_poses, settings, files))
     planned = wanted[settings.method]()
-    return replace(planned, warnings=(*planned.warnings, _WITHOUT)) if job.effects else planned
+    left_out = [_WITHOUT.format(keys_of(job.effects))] if job.effects else []
+    return replace(planned, warnings=(*planned.warnings, *left_out))
 
 
 def _need_no_network(command: str, files: Files) -> None:

@@ -12,7 +12,7 @@ from metrocli.adjust.solution import Solution
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.effects.correlated import with_all
 from metrocli.effects.model import Added
-from metrocli.effects.requested import RequestedEffect
+from metrocli.effects.requested import RequestedEffect, keys_of
 from metrocli.errors import InputError, NotConvergedError, UndeterminedError
 from metrocli.result import Result
 from metrocli.tasks.fit_points.diagnosis import adjusted_job, covariates
@@ -38,6 +38,7 @@ def run(job: Job[Settings, Files]) -> Result:
         return joined(problem, solved(problem)[0])
     requested = requested_features(settings.features, table_of(files.points), "points")
     if files.nominal is None:
+        _without_effects(job)
         return features_alone(requested, files.points, settings.noise)
     problem = _started(problem_of(settings, files))
     mirror = _of_the_mirror_image(problem)
@@ -74,7 +75,9 @@ def check(job: Job[Settings, Files]) -> None:
         _of_stations(job)
         return
     requested_features(job.settings.features, table_of(job.files.points), "points")
-    if job.files.nominal is not None:
+    if job.files.nominal is None:
+        _without_effects(job)
+    else:
         problem_of(job.settings, job.files)
 
 
@@ -95,9 +98,18 @@ def solved(problem: PointPairs, requests: Iterable[RequestedEffect] = ()) -> tup
     return solution, model.added
 
 
+def _without_effects(job: Job[Settings, Files]) -> None:
+    """Raise InputError if a job of features alone requests effects."""
+    if job.effects:
+        raise InputError(
+            f"{keys_of(job.effects)}: only a best fit can have them: leave them out, or add `nominal` points"
+        )
+
+
 def _of_stations(job: Job[Settings, Files]) -> PointPairs:
     if job.effects:
-        raise InputError("`effects` are for the points of one station: leave them out, or the column 'station'")
+        keys = keys_of(job.effects)
+        raise InputError(f"{keys}: they are for the points of one station: leave them out, or the column 'station'")
     return stations_of(job.settings, job.files)
 
 

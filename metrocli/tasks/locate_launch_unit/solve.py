@@ -14,7 +14,7 @@ from metrocli.adjust.outcome import Outcome
 from metrocli.adjust.solution import Residuals, Solution, residuals_of
 from metrocli.arrays import Array
 from metrocli.effects.estimates import absorbed
-from metrocli.effects.requested import RequestedEffect
+from metrocli.effects.requested import RequestedEffect, keys_of
 from metrocli.errors import Fault, InputError, MetrocliError, NotConvergedError, UndeterminedError
 from metrocli.frozen import dataclass
 from metrocli.geometry.rotations import wrapped
@@ -117,7 +117,7 @@ def locate(readings: AlignedPoses, noise: LaunchUnitNoise, how: How | None = Non
 
 def _located(readings: AlignedPoses, noise: LaunchUnitNoise, how: How) -> Located:
     if how.effects and how.method != "adjustment":
-        raise InputError("effects: only `method: adjustment` can have effects in its model")
+        raise InputError(f"{keys_of(how.effects)}: only `method: adjustment` can have them in its model")
     _must_suffice(readings, noise, how.method)
     _refuse_mirrored(readings, noise)
     if how.method != "adjustment":

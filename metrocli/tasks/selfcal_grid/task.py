@@ -8,6 +8,7 @@ import numpy as np
 
 from metrocli.adjust.clusters.robust import FROM_RESIDUALS, STRUCTURED
 from metrocli.diagnosis.adjusted_job import AdjustedJob
+from metrocli.effects.requested import keys_of
 from metrocli.errors import InputError, UndeterminedError
 from metrocli.plan import Plan
 from metrocli.result import Result
@@ -121,7 +122,11 @@ def simulate(job: Job[Settings, Files], options: SimulationOptions) -> Simulatio
 
 def plan(job: Job[Settings, Files]) -> Plan:
     """Return what the planned views and lengths will determine, and what other sets of views would."""
-    return planned_views.plan(job.settings, job.files.lengths)
+    planned = planned_views.plan(job.settings, job.files.lengths)
+    if not job.effects:
+        return planned
+    left_out = f"the plan leaves out {keys_of(job.effects)} of the job: its uncertainties hold without them"
+    return replace(planned, warnings=(*planned.warnings, left_out))
 
 
 TASK = Task(

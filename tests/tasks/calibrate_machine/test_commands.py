@@ -401,7 +401,7 @@ def test_plan_needs_no_measurement_and_says_that_it_has_no_effects(folder: Path,
     job.write_text(f"{text}effects: [{{name: backlash, axis: x}}]\n")
     ran = metrocli("plan", job, "--out", folder / "plan")
     assert ran.code == 0, ran.err
-    assert "every error is determined" in ran.out and "the plan leaves out the effects of the job" in ran.err
+    assert "every error is determined" in ran.out and "the plan leaves out `effects` of the job" in ran.err
     assert any(path.suffix == ".nc" for path in (folder / "plan").iterdir())
 
 

@@ -90,9 +90,19 @@ def pinholes(system: CameraSystem) -> Iterator[tuple[str, CameraProblem]]:
 
 
 def _problems(system: CameraSystem, settings: Settings) -> Iterator[tuple[str, CameraProblem]]:
-    for name, problem in system.alone.items():
-        spline = system.cameras[name].model == SPLINE
+    for number, (name, alone) in enumerate(system.alone.items()):
+        spline, problem = system.cameras[name].model == SPLINE, _as_noisy(alone, system, number)
         yield name, with_shape(problem, settings.noise not in FROM_RESIDUALS) if spline else problem
+
+
+def _as_noisy(problem: CameraProblem, system: CameraSystem, number: int) -> CameraProblem:
+    """Return the calibration of a camera alone, with the variance groups of its readings."""
+    observations = system.images.observations
+    if observations.ratios is None:
+        return problem
+    ratios = observations.ratios[system.exposed.camera[observations.index[IMAGE]] == number]
+    images = problem.images.with_observations(replace(problem.images.observations, ratios=ratios))
+    return problem.with_model(problem.model.with_group(images))
 
 
 def views_of(system: CameraSystem, solution: Solution) -> tuple[Array, Array]:

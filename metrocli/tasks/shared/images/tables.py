@@ -119,8 +119,20 @@ def image_warnings(
     """Return the warnings of what was found in the images, of the kind of job, and of what stands out."""
     lines = [*sighted.warnings, *own]
     if views is not None:
-        lines += suspect_images(sighted.images, views.numbers("rms"), views.numbers("readings"))
+        rms = views.numbers("rms") / _stated_ratios(adjusted.group, sighted.images)
+        lines += suspect_images(sighted.images, rms, views.numbers("readings"))
     return lines + suspect_readings(adjusted.suspects, adjusted.group)
+
+
+def _stated_ratios(group: Group, images: Sequence[str]) -> Array:
+    """Return the ratio of the noise of each image to the declared one, root mean square, 1 where none is stated."""
+    ratios = group.observations.ratios
+    if ratios is None:
+        return np.ones(len(images))
+    rows = {name: row for row, name in enumerate(images)}
+    index = np.array([rows[name] for name in group.observations.keys["image"]], dtype=np.intp)
+    counts = np.bincount(index, minlength=len(images))
+    return np.sqrt(np.where(counts, np.bincount(index, ratios**2, len(images)) / np.maximum(counts, 1), 1.0))
 
 
 def suspect_images(names: Sequence[str], rms: Array, counts: Array) -> list[str]:
