@@ -10,12 +10,7 @@ from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.groups import Group, priors
 from metrocli.arrays import Array, Mask
 from metrocli.errors import Fault, InputError, UndeterminedError
-from metrocli.instruments.axes.rotary import (
-    SPINDLE_NAMES,
-    RotaryAxis,
-    location_names,
-    spindle_block,
-)
+from metrocli.instruments.axes.rotary import SPINDLE_NAMES, RotaryAxis, location_names, spindle_block
 from metrocli.instruments.machine import (
     ANGLES,
     AXES,

@@ -16,12 +16,7 @@ from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.geometry.rotations import rotation_from_euler
 from metrocli.instruments.axes.kinematics import reach
-from metrocli.instruments.machine import (
-    POSITION,
-    SQUARENESS,
-    SQUARENESS_NAMES,
-    Machine,
-)
+from metrocli.instruments.machine import POSITION, SQUARENESS, SQUARENESS_NAMES, Machine
 from metrocli.instruments.machine_path import SINCE, Path, travelled
 from metrocli.instruments.six_dof import CHANNELS, COLUMNS, LINE, line_block, line_chain
 from metrocli.instruments.tracer import AIR, POINT, STOP, TRACER, beams, tracer_block

@@ -90,10 +90,7 @@ def _targets(axis: Axis) -> Array:
 
 def columns_of(machine: Machine, lines: MeasuredLines) -> dict[str, Values]:
     """Return the columns line, axis and place of lines, under headings; those of rotary axes are their angles."""
-    named: dict[str, Values] = {
-        "line": np.array(lines.names)[lines.of],
-        "axis": np.array(lines.axis)[lines.of],
-    }
+    named: dict[str, Values] = {"line": np.array(lines.names)[lines.of], "axis": np.array(lines.axis)[lines.of]}
     if machine.turns:
         return named | {f"{axis.letter.lower()} [rad]": lines.position[i] for i, axis in enumerate(machine.axes)}
     return named | {"position [mm]": lines.distance}
