@@ -29,11 +29,11 @@ from metrocli.tasks.calibrate_machine.files import Files
 from metrocli.tasks.calibrate_machine.methods.lengths import stop_names, visits
 from metrocli.tasks.calibrate_machine.methods.lines import MeasuredLines, approach, line_conditions, lines_of
 from metrocli.tasks.calibrate_machine.methods.on_the_fly import path_of
-from metrocli.tasks.calibrate_machine.methods.planned_lines import columns_of, planned_lines, tests_of_positioning
 from metrocli.tasks.calibrate_machine.methods.poses import STATIONS, around, clock, in_degrees, sides_of
 from metrocli.tasks.calibrate_machine.methods.simulated_poses import simulated_turning
 from metrocli.tasks.calibrate_machine.methods.six_dof import laser_noise
 from metrocli.tasks.calibrate_machine.methods.standstill import tracker_noise
+from metrocli.tasks.calibrate_machine.plans.stops import columns_of, planned_lines, tests_of_positioning
 from metrocli.tasks.calibrate_machine.problem import SIDES, since_turns, tools_of
 from metrocli.tasks.calibrate_machine.settings import (
     LENGTHS,
