@@ -54,7 +54,7 @@ def files(lines: TextLines, wishes: ImportOptions) -> Imported:
     origin = f"from {lines.file} (metashape-markers)"
     header = ("image", "target", "u_px", "v_px")
     texts = {"observations.csv": to_csv(header, rows, origin, notes if predicted else ())}
-    places = [row for row in _places(lines, root) if row[0] in {target for _, target, *_ in rows}]
+    places = [row for row in _places(root) if row[0] in {target for _, target, *_ in rows}]
     return texts | ({"targets.csv": _targets(places, wishes.unit, origin)} if places and wishes.unit else {})
 
 
@@ -101,7 +101,7 @@ def _measured(
                 yield named.cameras.get(camera, camera), target, *uv
 
 
-def _places(lines: TextLines, root: Element) -> Iterator[Row]:
+def _places(root: Element) -> Iterator[Row]:
     """Yield the label and the place of each marker that has one."""
     for marker in root.iter("marker"):
         reference = marker.find("reference")

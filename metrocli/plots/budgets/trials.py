@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -46,10 +47,7 @@ def data(result: Result, about: str) -> tuple[Histogram, ...] | None:
         if not rows or "mc" not in details:
             continue
         edges = np.append(from_[rows], to[rows[-1]]) - estimate.value
-        trials, interval = (
-            tuple(float(end) - estimate.value for end in ends)
-            for ends in (details["mc"]["interval"], details["interval"])
-        )
+        trials, interval = (_ends(of, estimate.value) for of in (details["mc"]["interval"], details["interval"]))
         gum = interval != trials and estimate.std > 0
         intervals = {"Monte Carlo": trials} | ({"GUM": interval} if gum else {})
         normal = _normal(edges, estimate.std) if gum and math.isinf(float(details["dof"])) else None
@@ -59,6 +57,10 @@ def data(result: Result, about: str) -> tuple[Histogram, ...] | None:
             Histogram(estimate.name, estimate.unit, estimate.value, edges, shares, intervals, share, normal)
         )
     return tuple(histograms) or None
+
+
+def _ends(interval: Sequence[float], value: float) -> tuple[float, float]:
+    return float(interval[0]) - value, float(interval[1]) - value
 
 
 def _normal(edges: Array, std: float) -> Array:
