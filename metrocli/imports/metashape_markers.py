@@ -13,13 +13,12 @@ from collections.abc import Iterator, Mapping
 from decimal import Decimal
 from xml.etree import ElementTree
 
-from metrocli import units
-from metrocli.errors import Fault, InputError, UsageError
+from metrocli.errors import Fault, InputError
 from metrocli.formats.csv_text import shortened
 from metrocli.frozen import dataclass
 from metrocli.imports import Imported, ImportOptions
-from metrocli.imports.lines import TextLines, is_number, to_csv
-from metrocli.words import listed, suggestion
+from metrocli.imports.lines import TextLines, is_number, must_be_length, to_csv
+from metrocli.words import listed
 
 _CENTRE = Decimal("0.5")
 _AXES = ("x", "y", "z")
@@ -111,7 +110,5 @@ def _places(root: Element) -> Iterator[Row]:
 
 
 def _targets(places: list[Row], unit: str, origin: str) -> str:
-    known = units.suffixes("length")
-    if unit not in known:
-        raise UsageError(f"--unit {unit}: no unit of length; {suggestion(unit, list(known))}")
+    must_be_length(unit)
     return to_csv(("target", *(f"{axis}_{unit}" for axis in _AXES)), places, origin)
