@@ -51,7 +51,7 @@ def with_sign(number: str, sign: int) -> str:
 
 
 def must_be_length(unit: str) -> None:
-    """Raise UsageError if the unit that a user gives for lengths is none, or where the file needs one and has none."""
+    """Raise UsageError unless a unit is one of length; it is empty if the user gave none."""
     known = list(units.suffixes("length"))
     if unit not in known:
         hint = suggestion(unit, known) if unit else f"one of {', '.join(known)}"
