@@ -155,12 +155,7 @@ def _probability_text(probability: float) -> str:
 
 
 def add_real_list(
-    to: Element,
-    values: Array,
-    unit: str,
-    spreads: Array | None = None,
-    k: float = 2.0,
-    probability: float = 1.0,
+    to: Element, values: Array, unit: str, spreads: Array | None = None, k: float = 2.0, probability: float = 1.0
 ) -> None:
     """Add values with their expanded uncertainties, (n,) each, rounded to two digits of the smallest one.
 

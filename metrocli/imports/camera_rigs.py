@@ -17,14 +17,13 @@ import numpy as np
 
 from metrocli import units
 from metrocli.arrays import Array
-from metrocli.errors import InputError, UsageError
+from metrocli.errors import InputError
 from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.geometry.rotations import nearest_rotation, rotation_from_vector
 from metrocli.imports.camera_fields import Keys, ReadCamera, listed, text_after
-from metrocli.imports.lines import TextLines, is_number
+from metrocli.imports.lines import TextLines, is_number, must_be_length
 from metrocli.instruments.lenses.forms import LENGTHS
-from metrocli.words import suggestion
 
 _TURNED = 1e-5
 """How far a matrix may be from a rotation: files with six digits are"""
@@ -83,9 +82,7 @@ def _size_of_unit(lines: TextLines, unit: str) -> float | None:
     """Return the length [mm] of the unit of a file; None if neither the file nor the user states it."""
     if not unit:
         return 1.0 if any(LENGTHS in line for line in lines.lines if line.startswith("#")) else None
-    known = units.suffixes("length")
-    if unit not in known:
-        raise UsageError(f"--unit {unit} is no unit of length: {suggestion(unit, list(known))}")
+    must_be_length(unit)
     return units.find_unit(unit, "length").inside(1.0)
 
 

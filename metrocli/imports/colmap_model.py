@@ -11,12 +11,10 @@ from collections import Counter
 from collections.abc import Iterator
 from decimal import Decimal
 
-from metrocli import units
-from metrocli.errors import Fault, InputError, UsageError
+from metrocli.errors import Fault, InputError
 from metrocli.formats.csv_text import shortened
 from metrocli.imports import Imported, ImportOptions
-from metrocli.imports.lines import TextLines, is_number, to_csv
-from metrocli.words import suggestion
+from metrocli.imports.lines import TextLines, is_number, must_be_length, to_csv
 
 _IMAGE, _POINT = 10, 12
 """Fields of the first line of an image, and fewest of a point, which two images show"""
@@ -34,10 +32,7 @@ def files(lines: TextLines, wishes: ImportOptions) -> Imported:
 
 
 def _targets(lines: TextLines, unit: str) -> Imported:
-    known = units.suffixes("length")
-    if unit not in known:
-        hint = suggestion(unit, list(known)) if unit else f"one of {', '.join(known)}"
-        raise UsageError(f"the file does not state the unit of its points: give it by --unit ({hint})")
+    must_be_length(unit)
     rows, faults = [], list[Fault]()
     for number, line in lines.without("#"):
         cells = line.split()[:4]

@@ -8,9 +8,11 @@ import math
 import re
 from collections.abc import Iterable, Iterator, Sequence
 
-from metrocli.errors import Fault
+from metrocli import units
+from metrocli.errors import Fault, UsageError
 from metrocli.formats.csv_header import separator_of
 from metrocli.frozen import dataclass
+from metrocli.words import suggestion
 
 _NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
 
@@ -46,6 +48,14 @@ def with_sign(number: str, sign: int) -> str:
     if sign > 0 or not number:
         return number
     return number[1:] if number.startswith("-") else f"-{number.removeprefix('+')}"
+
+
+def must_be_length(unit: str) -> None:
+    """Raise UsageError unless a unit is one of length; it is empty if the user gave none."""
+    known = list(units.suffixes("length"))
+    if unit not in known:
+        hint = suggestion(unit, known) if unit else f"one of {', '.join(known)}"
+        raise UsageError(f"the file does not state the unit of its lengths: give it by --unit ({hint})")
 
 
 NOTE = "# note: "

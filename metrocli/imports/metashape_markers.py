@@ -13,13 +13,12 @@ from collections.abc import Iterator, Mapping
 from decimal import Decimal
 from xml.etree import ElementTree
 
-from metrocli import units
-from metrocli.errors import Fault, InputError, UsageError
+from metrocli.errors import Fault, InputError
 from metrocli.formats.csv_text import shortened
 from metrocli.frozen import dataclass
 from metrocli.imports import Imported, ImportOptions
-from metrocli.imports.lines import TextLines, is_number, to_csv
-from metrocli.words import listed, suggestion
+from metrocli.imports.lines import TextLines, is_number, must_be_length, to_csv
+from metrocli.words import listed
 
 _CENTRE = Decimal("0.5")
 _AXES = ("x", "y", "z")
@@ -54,7 +53,7 @@ def files(lines: TextLines, wishes: ImportOptions) -> Imported:
     origin = f"from {lines.file} (metashape-markers)"
     header = ("image", "target", "u_px", "v_px")
     texts = {"observations.csv": to_csv(header, rows, origin, notes if predicted else ())}
-    places = [row for row in _places(lines, root) if row[0] in {target for _, target, *_ in rows}]
+    places = [row for row in _places(root) if row[0] in {target for _, target, *_ in rows}]
     return texts | ({"targets.csv": _targets(places, wishes.unit, origin)} if places and wishes.unit else {})
 
 
@@ -101,7 +100,7 @@ def _measured(
                 yield named.cameras.get(camera, camera), target, *uv
 
 
-def _places(lines: TextLines, root: Element) -> Iterator[Row]:
+def _places(root: Element) -> Iterator[Row]:
     """Yield the label and the place of each marker that has one."""
     for marker in root.iter("marker"):
         reference = marker.find("reference")
@@ -111,7 +110,5 @@ def _places(lines: TextLines, root: Element) -> Iterator[Row]:
 
 
 def _targets(places: list[Row], unit: str, origin: str) -> str:
-    known = units.suffixes("length")
-    if unit not in known:
-        raise UsageError(f"--unit {unit}: no unit of length; {suggestion(unit, list(known))}")
+    must_be_length(unit)
     return to_csv(("target", *(f"{axis}_{unit}" for axis in _AXES)), places, origin)

@@ -8,12 +8,10 @@ from __future__ import annotations
 
 from collections import Counter
 
-from metrocli import units
-from metrocli.errors import Fault, InputError, UsageError
+from metrocli.errors import Fault, InputError
 from metrocli.formats.csv_text import shortened
 from metrocli.imports import Imported, ImportOptions
-from metrocli.imports.lines import TextLines, is_number, to_csv
-from metrocli.words import suggestion
+from metrocli.imports.lines import TextLines, is_number, must_be_length, to_csv
 
 _COMMENT = "//"
 _HINT = "expected: [[Collection] Group] Target x y z, exported without uncertainties, times or offsets"
@@ -21,10 +19,7 @@ _HINT = "expected: [[Collection] Group] Target x y z, exported without uncertain
 
 def files(lines: TextLines, wishes: ImportOptions) -> Imported:
     """Return points.csv; raises UsageError without a unit, InputError that lists all faults of the lines."""
-    known = units.suffixes("length")
-    if wishes.unit not in known:
-        hint = suggestion(wishes.unit, list(known)) if wishes.unit else f"one of {', '.join(known)}"
-        raise UsageError(f"the file does not state the unit of its coordinates: give it by --unit ({hint})")
+    must_be_length(wishes.unit)
     names, places, faults = [], [], list[Fault]()
     for number, line in lines.without(_COMMENT):
         cells = [cell.strip() for cell in line.split(",")] if "," in line else line.split()

@@ -90,7 +90,8 @@ def draw(canvas: Canvas, graph: Graph) -> str:
         for k, line in enumerate(lines):
             at = y + 0.5 + 0.34 * (k - (len(lines) - 1) / 2)
             ink = theme.ink if k == 0 else theme.muted
-            axes.text(x + 0.03, at, _short(line, letters), va="center", fontsize=6.6, color=ink, zorder=3)
+            text = line if len(line) <= letters else f"…{line[1 - letters :]}"
+            axes.text(x + 0.03, at, text, va="center", fontsize=6.6, color=ink, zorder=3)
         for need in node.needs:
             u, v = graph.place[need]
             bend = (u + wide + x) / 2
@@ -100,7 +101,3 @@ def draw(canvas: Canvas, graph: Graph) -> str:
     changed = [node.name for node in graph.nodes if not node.sound]
     state = f"Changed, missing or not fit for use (orange): {', '.join(changed)}." if changed else "All are as read."
     return f"Files (grey) and results with the jobs that made them (green), from the measurements on the left. {state}"
-
-
-def _short(text: str, letters: int) -> str:
-    return text if len(text) <= letters else f"…{text[1 - letters :]}"

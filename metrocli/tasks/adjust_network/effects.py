@@ -238,12 +238,7 @@ EFFECTS = tuple(
 _WHERE = ("instrument", "station", "point")
 PLACES: tuple[Acting, ...] = (
     Acting(
-        "sighting",
-        Quantity.POLAR,
-        ("rad", "rad", "mm"),
-        POLAR,
-        (*components(POLAR, ("rad", "rad", "mm")),),
-        _WHERE,
+        "sighting", Quantity.POLAR, ("rad", "rad", "mm"), POLAR, (*components(POLAR, ("rad", "rad", "mm")),), _WHERE
     ),
     point("point-in-tracker", Quantity.POINT_IN_TRACKER, _WHERE, *seen_from()),
     point("point-in-machine", Quantity.POINT_IN_MACHINE, _WHERE),

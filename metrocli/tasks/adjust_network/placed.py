@@ -79,23 +79,23 @@ def _rows(network: Network, solution: Solution) -> list[_Row]:
             rows += _over(network, solution, number, name)
         elif t.TRACER in blocks and name in blocks[t.TRACER].members:
             rows += _coordinates(solution, t.TRACER, name)
-            rows += _entry(solution, t.TRACER, name, 3, f"{name}.dead_path", "mm")
+            rows += _entry(solution, t.TRACER, name, 3, f"{name}.dead_path")
         rows += _rounds(network, solution, number, name)
     for name in blocks[s.SETUP].members[1:] if s.SETUP in blocks else ():
-        rows += _entry(solution, s.SETUP, name, 0, f"{name}.height", "mm")
+        rows += _entry(solution, s.SETUP, name, 0, f"{name}.height")
     return rows
 
 
-def _entry(solution: Solution, block: str, member: str, column: int, name: str, unit: str) -> list[_Row]:
+def _entry(solution: Solution, block: str, member: str, column: int, name: str) -> list[_Row]:
     placed = solution.blocks[block]
     row = placed.members.index(member)
     entry = row * placed.size + column
     by = ((block, entry, 1.0),) if placed.free[row, column] else ()
-    return [_Row(name, float(placed.values[row, column]), unit, by)]
+    return [_Row(name, float(placed.values[row, column]), "mm", by)]
 
 
 def _coordinates(solution: Solution, block: str, name: str) -> list[_Row]:
-    return [row for k, axis in enumerate("xyz") for row in _entry(solution, block, name, k, f"{name}.{axis}", "mm")]
+    return [row for k, axis in enumerate("xyz") for row in _entry(solution, block, name, k, f"{name}.{axis}")]
 
 
 def _pose(solution: Solution, name: str) -> list[_Row]:
@@ -124,7 +124,7 @@ def _over(network: Network, solution: Solution, number: int, name: str) -> list[
         by = [(t.POINT, 3 * point + k, 1.0)] if points.free[point, k] else []
         by += [(s.OVER, 3 * row + i, float(lean[k, i])) for i in range(3) if offsets.free[row, i] and lean[k, i]]
         rows.append(_Row(f"{name}.{axis}", float(place[k]), "mm", tuple(by)))
-    return [*rows, *_entry(solution, s.OVER, name, 2, f"{name}.height", "mm")]
+    return [*rows, *_entry(solution, s.OVER, name, 2, f"{name}.height")]
 
 
 def _lean(network: Network, place: Array) -> Array:

@@ -49,7 +49,7 @@ def planned(settings: Settings, files: Files, effects: tuple[RequestedEffect, ..
     truth = NetworkSimulation(faces=1 if wish is None else wish.faces)
     network = _network(settings, files, truth, effects)
     solution = _solution(network)
-    seen = tuple(_seen(network, solution))
+    seen = tuple(_seen(network))
     tables = {"points": _points(solution), "effects": Table.of_rows(_HEAD, seen)}
     notes = [*_quality(solution), *_blind(seen)]
     if wish is not None and wish.region is not None:
@@ -126,7 +126,7 @@ def _quality(solution: Solution) -> Iterator[str]:
     yield f"  least redundancy of a reading: {least:.2f}"
 
 
-def _seen(network: Network, solution: Solution) -> Iterator[tuple[object, ...]]:
+def _seen(network: Network) -> Iterator[tuple[object, ...]]:
     """Yield how well the network determines each error of each instrument, beside all its unknowns."""
     model = with_conditions(network.model)
     for effect in TRACKER_EFFECTS:
@@ -215,7 +215,7 @@ def _value(network: Network, aim: str) -> float:
     solution = _solution(network)
     if aim != _INSTRUMENT:
         return _worth(solution, aim)
-    shares = [_relative(row) for row in _seen(network, solution)]
+    shares = [_relative(row) for row in _seen(network)]
     return float(np.sqrt(np.mean(np.minimum(shares, _BLIND) ** 2))) if shares else float("inf")
 
 

@@ -17,13 +17,7 @@ from metrocli.frozen import dataclass
 from metrocli.result import Result
 from metrocli.table import Table
 from metrocli.tasks.adjust_network.settings import INTERFEROMETER, Files, NetworkInstrument, Settings
-from metrocli.tasks.adjust_network.sightings import (
-    PolarSightings,
-    Stations,
-    refuse_pairs,
-    sightings_of,
-    stations_of,
-)
+from metrocli.tasks.adjust_network.sightings import PolarSightings, Stations, refuse_pairs, sightings_of, stations_of
 from metrocli.tasks.shared.lists import matched, negative, refuse, rows_of, sigmas
 from metrocli.uncertainty.predicted import POINTS_COVARIANCE, points_of
 from metrocli.words import listed

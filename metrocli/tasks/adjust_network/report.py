@@ -17,7 +17,7 @@ from metrocli.result import Result, ShownTable
 from metrocli.table import Table
 from metrocli.tasks.adjust_network import KIND
 from metrocli.tasks.adjust_network.groups import BARS, GIVEN_POINTS, HEIGHTS, OF_INSTRUMENT, is_sighting
-from metrocli.tasks.adjust_network.placed import StationEstimates, placed_stations
+from metrocli.tasks.adjust_network.placed import placed_stations
 from metrocli.tasks.adjust_network.solve import AdjustedNetwork
 from metrocli.tasks.adjust_network.suspects import SuspectedReading
 from metrocli.tasks.shared.joint_covariance import factors
@@ -72,7 +72,7 @@ def report(solved: AdjustedNetwork, noise: NoiseFound) -> Result:
         notes=(
             *found_notes(noise),
             *noise_notes(solution, cures=(_REMOVE,)),
-            *_datum_note(solved, placed),
+            *_datum_note(solved),
             *(f"its list decides, since a mirror image fits as well: {place.words}" for place in solved.second[:_ONCE]),
         ),
         details=noise.details([estimate.name for estimate in delivered]),
@@ -246,7 +246,7 @@ def _shown(solved: AdjustedNetwork) -> Iterator[ShownTable]:
         yield ShownTable("suspects")
 
 
-def _datum_note(solved: AdjustedNetwork, placed: StationEstimates) -> Iterator[str]:
+def _datum_note(solved: AdjustedNetwork) -> Iterator[str]:
     network, solution = solved.network, solved.solution
     if network.datum is None or not solution.conditions:
         return

@@ -203,10 +203,7 @@ def _resected(problem: CameraProblem, targets: Array) -> CameraProblem:
 def _retried(problem: CameraProblem, focal: float) -> CameraProblem:
     """Return the problem at another focal length [px], with poses found anew."""
     lens = problem.blocks[camera.LENS]
-    values = {
-        **lens.named(),
-        **{name: focal for name in lens.columns if name in ("f", "fx", "fy")},
-    }
+    values = {**lens.named(), **{name: focal for name in lens.columns if name in ("f", "fx", "fy")}}
     plain = {**values, **dict.fromkeys(DISTORTION, 0.0)}
     _, views = _start(problem.rig, problem.convention, problem.sighted, plain, problem.image_size)
     name = camera.view_name(problem.rig)

@@ -42,11 +42,7 @@ from metrocli.tasks.shared.images.settings import (
 from metrocli.tasks.shared.images.target_list import TARGETS
 from metrocli.tasks.shared.noise import NOISE_HELP
 
-SCALE_BARS = Columns(
-    columns("from to [text]", "length sigma [length]"),
-    ("from", "to"),
-    "calibrated distances",
-)
+SCALE_BARS = Columns(columns("from to [text]", "length sigma [length]"), ("from", "to"), "calibrated distances")
 TEST_LENGTHS = Columns(
     columns("from to [text]", "length sigma [length]", "line? [text]"),
     ("from", "to"),
@@ -182,8 +178,7 @@ class Settings:
     )
     inputs: Any = setting(Section(Inputs), "the files of the job")
     noise: float | str = setting(
-        Either(WithUnit("pixel", positive=True, minimum=1e-9), Choice(*FROM_RESIDUALS)),
-        NOISE_HELP,
+        Either(WithUnit("pixel", positive=True, minimum=1e-9), Choice(*FROM_RESIDUALS)), NOISE_HELP
     )
     camera: CameraSettings = setting(Section(CameraSettings), "the camera", default=CameraSettings())
     cameras: dict[str, OneOfSeveral] | None = setting(

@@ -10,12 +10,7 @@ from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.groups import Group, priors
 from metrocli.arrays import Array, Mask
 from metrocli.errors import Fault, InputError, UndeterminedError
-from metrocli.instruments.axes.rotary import (
-    SPINDLE_NAMES,
-    RotaryAxis,
-    location_names,
-    spindle_block,
-)
+from metrocli.instruments.axes.rotary import SPINDLE_NAMES, RotaryAxis, location_names, spindle_block
 from metrocli.instruments.machine import (
     ANGLES,
     AXES,
@@ -114,7 +109,12 @@ def commanded(machine: Machine, table: Table) -> Array:
     """
     raise_if(_columns(machine, table))
     position = table.stacked([axis.letter.lower() for axis in machine.axes]).T
-    position = np.array([_wrapped(axis, own) for axis, own in zip(machine.axes, position, strict=True)])
+    position = np.array(
+        [
+            axis.wrapped(own) if isinstance(axis, RotaryAxis) else own
+            for axis, own in zip(machine.axes, position, strict=True)
+        ]
+    )
     margin = np.array([np.radians(_OUTSIDE) if isinstance(axis, RotaryAxis) else _OUTSIDE for axis in machine.axes])
     low, high = (machine.low - margin)[:, None], (machine.high + margin)[:, None]
     outside = (position < low) | (position > high)
@@ -182,10 +182,6 @@ def _columns(machine: Machine, table: Table) -> Iterator[Fault]:
         elif letter not in letters and letter.lower() in table:
             text = f"the file has a column '{name}', but the chain of the machine has no {letter}"
             yield table.fault(text, f"add {letter} to `chain` and `axes`, or leave the column out")
-
-
-def _wrapped(axis: Axis, position: Array) -> Array:
-    return axis.wrapped(position) if isinstance(axis, RotaryAxis) else position
 
 
 def placed(axis: Axis, position: float, unit: str | None = None, decimals: int = 9) -> str:

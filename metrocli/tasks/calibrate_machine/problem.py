@@ -232,11 +232,7 @@ def _refuse_sides(table: Table) -> None:
 
 PLACES_OF_AXES = (SQUARENESS, *(f"place of {letter}" for letter in ANGLES), SPINDLE)
 """Names of the blocks whose entries are estimates of the summary: how the axes lie"""
-ERROR_BLOCKS = (
-    *(f"axis {letter}" for letter in (*AXES, *ANGLES)),
-    *PLACES_OF_AXES,
-    TOOL,
-)
+ERROR_BLOCKS = (*(f"axis {letter}" for letter in (*AXES, *ANGLES)), *PLACES_OF_AXES, TOOL)
 """Names of the blocks on which the predicted error of a point depends"""
 NETWORK = "errors of the network"
 """Name of the block of errors that points have in common, where a network measured them"""

@@ -17,9 +17,8 @@ from metrocli.instruments.six_dof import ANGULAR
 from metrocli.result import Estimate, Result, ShownTable
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine import KIND
-from metrocli.tasks.calibrate_machine.acceptance.mount import mount
 from metrocli.tasks.calibrate_machine.acceptance.paths import paths
-from metrocli.tasks.calibrate_machine.acceptance.rotary_motion import rotary_motion
+from metrocli.tasks.calibrate_machine.acceptance.rotary_axes import mount, rotary_motion
 from metrocli.tasks.calibrate_machine.acceptance.runs import positioning_of, shown_figures
 from metrocli.tasks.calibrate_machine.problem import PLACES_OF_AXES
 from metrocli.tasks.calibrate_machine.rank.identifiability import Identifiability

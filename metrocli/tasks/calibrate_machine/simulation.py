@@ -16,12 +16,7 @@ from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.geometry.rotations import rotation_from_euler
 from metrocli.instruments.axes.kinematics import reach
-from metrocli.instruments.machine import (
-    POSITION,
-    SQUARENESS,
-    SQUARENESS_NAMES,
-    Machine,
-)
+from metrocli.instruments.machine import POSITION, SQUARENESS, SQUARENESS_NAMES, Machine
 from metrocli.instruments.machine_path import SINCE, Path, travelled
 from metrocli.instruments.six_dof import CHANNELS, COLUMNS, LINE, line_block, line_chain
 from metrocli.instruments.tracer import AIR, POINT, STOP, TRACER, beams, tracer_block
@@ -34,11 +29,11 @@ from metrocli.tasks.calibrate_machine.files import Files
 from metrocli.tasks.calibrate_machine.methods.lengths import stop_names, visits
 from metrocli.tasks.calibrate_machine.methods.lines import MeasuredLines, approach, line_conditions, lines_of
 from metrocli.tasks.calibrate_machine.methods.on_the_fly import path_of
-from metrocli.tasks.calibrate_machine.methods.planned_lines import columns_of, planned_lines, tests_of_positioning
 from metrocli.tasks.calibrate_machine.methods.poses import STATIONS, around, clock, in_degrees, sides_of
 from metrocli.tasks.calibrate_machine.methods.simulated_poses import simulated_turning
 from metrocli.tasks.calibrate_machine.methods.six_dof import laser_noise
 from metrocli.tasks.calibrate_machine.methods.standstill import tracker_noise
+from metrocli.tasks.calibrate_machine.plans.stops import columns_of, planned_lines, tests_of_positioning
 from metrocli.tasks.calibrate_machine.problem import SIDES, since_turns, tools_of
 from metrocli.tasks.calibrate_machine.settings import (
     LENGTHS,

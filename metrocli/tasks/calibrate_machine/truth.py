@@ -17,15 +17,7 @@ from metrocli.effects.model import Model
 from metrocli.errors import InputError
 from metrocli.frozen import dataclass
 from metrocli.instruments.axes.rotary import LOCATIONS, SPINDLE_NAMES, RotaryAxis, spindle_block
-from metrocli.instruments.machine import (
-    SQUARENESS_NAMES,
-    TOOL,
-    Axis,
-    Machine,
-    errors_of,
-    is_angle,
-    squareness_block,
-)
+from metrocli.instruments.machine import SQUARENESS_NAMES, TOOL, Axis, Machine, errors_of, is_angle, squareness_block
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine.described import error_blocks, machine_of
 from metrocli.tasks.calibrate_machine.problem import conditions, model_of

@@ -268,7 +268,7 @@ def _finished(local: LinearStock, to_part: Array, objective: Objective, duals: A
     )
 
 
-def criterion_of(stock: Stock, name: str, minimum: float, to_part: Array, start: Array) -> PoseCriterion:
+def criterion_of(stock: Stock, name: str, minimum: float, start: Array) -> PoseCriterion:
     """Return the criterion of a job; `most` is `even` with the largest least overstock as its `minimum`."""
     if name == LEAST_MOTION:
         return PoseCriterion(name, minimum, poses.apply(start, stock.measured))

@@ -166,9 +166,9 @@ def fitted_part(
     """
     to_part, largest, duals = begin
     if name != MOST:
-        aim = criterion_of(stock, name, min(minimum, largest), to_part, start)
+        aim = criterion_of(stock, name, min(minimum, largest), start)
         return aim, fit(stock, aim, to_part)
-    aim = criterion_of(stock, name, largest - SLACK, to_part, start)
+    aim = criterion_of(stock, name, largest - SLACK, start)
     even = fit(stock, aim, to_part)
     # of a linear programme the gradient is 0: its duals alone have to balance
     held = np.abs(even.local.rows.T @ duals).max()

@@ -47,12 +47,7 @@ class Sought(Protocol):
 
 
 def searched_pose(
-    nominal: Sought,
-    measured: Array,
-    surface: Index | None,
-    start: Array,
-    seed: int = 1,
-    rotations: Array | None = None,
+    nominal: Sought, measured: Array, surface: Index | None, start: Array, seed: int = 1, rotations: Array | None = None
 ) -> Array:
     """Return the pose (6,) that brings measured points (n, 3) roughly onto their surfaces.
 

@@ -115,7 +115,8 @@ def repeated(name: str, table: Table, column: str) -> Fault | str | None:
     run = first_run(row_hashes(table, (column,)), least)
     if run is None:
         return None
-    message = f"{run.rows} readings of '{name}' repeat {_place(table, run.first)} and those after it, value for value"
+    place = f"line {table.lines[run.first]}" if table.lines else f"row {run.first + 1}"
+    message = f"{run.rows} readings of '{name}' repeat {place} and those after it, value for value"
     why = "one measurement that counts twice makes the uncertainty too small: remove the copy"
     if pairs * alike**run.rows < _REFUSED:
         return table.fault_at(run.again, message, why)
@@ -153,7 +154,3 @@ def _resolution(values: Array) -> float:
         if np.abs(whole - np.rint(whole)).max() <= _ROUNDING * largest:
             return float(np.gcd.reduce(np.diff(np.rint(whole)).astype(np.int64))) / 10.0**decimals
     return float(steps.min())
-
-
-def _place(table: Table, row: int) -> str:
-    return f"line {table.lines[row]}" if table.lines else f"row {row + 1}"

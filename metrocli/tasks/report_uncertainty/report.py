@@ -94,7 +94,7 @@ def report(evaluation: BothMethods) -> Result:
         tables=budget_text.tables([m.budget for m in measurands]) | _histograms(evaluation, measurands),
         arrays=arrays,
         warnings=(*evaluation.problem.warnings, *(note for m in measurands for note in _warnings(m))),
-        notes=tuple(line for m in measurands for line in _notes(evaluation, m)),
+        notes=tuple(line for m in measurands for line in _notes(m)),
         details={m.name: m.details for m in measurands},
         plain=PLAIN,
     )
@@ -248,7 +248,7 @@ def _warnings(measurand: _Measurand) -> list[str]:
     return printed
 
 
-def _notes(evaluation: BothMethods, measurand: _Measurand) -> list[str]:
+def _notes(measurand: _Measurand) -> list[str]:
     details, unit = measurand.details, "" if measurand.unit == "1" else f" {measurand.unit}"
     value, std = rounded(measurand.value, measurand.std)
     U = rounded(measurand.value, details["U"])[1]

@@ -125,7 +125,8 @@ def _size(
     given: Contributor = placed.value
     if given.result is not None:
         result = results[given.result]
-        return _of_result(placed, result, points), False, _dof(result)
+        dof = min(result.degrees_of_freedom(estimate.name) for estimate in result.estimates)
+        return _of_result(placed, result, points), False, dof
     if given.model is not None:
         return _of_model(placed, results, points), False, math.inf
     if given.std is not None:
@@ -145,10 +146,6 @@ def _size(
 
 def _along_axes(value: float | tuple[float, float, float]) -> Array:
     return np.broadcast_to(np.asarray(value, dtype=float), (1, 3))
-
-
-def _dof(result: Result) -> float:
-    return min(result.degrees_of_freedom(estimate.name) for estimate in result.estimates)
 
 
 def _of_result(placed: LocatedValue, result: Result, points: Array) -> Array:

@@ -86,7 +86,8 @@ def _observed(readings: GridReadings, view: int, pitch: float) -> Observed | Non
         off = np.abs(place - np.median(place[keep], axis=0)).max(axis=1)
         keep = off <= max(2 * float(np.median(off)), 1e-9)
     scale = float(np.linalg.svd(matrix, compute_uv=False).mean())
-    turn = _nearest(matrix / scale)
+    # the nearest of the 48 matrices that bring the grid onto itself
+    turn = max(_ONTO_ITSELF, key=lambda turn: float((turn * (matrix / scale)).sum()))
     return Observed(turn, matrix / scale - turn, scale, np.median(values - balls @ turn.T, axis=0))
 
 
@@ -104,11 +105,6 @@ def _affine(balls: Array, values: Array) -> Array:
     length = np.sqrt(np.linalg.norm(images[:, 0]) * np.linalg.norm(images[:, 1]))
     across = np.cross(images[:, 0], images[:, 1]) / max(float(length), 1e-300)
     return np.asarray(fit + np.outer(across, np.cross(axes[0], axes[1])))
-
-
-def _nearest(matrix: Array) -> Array:
-    """Return the nearest of the 48 matrices that bring the grid onto itself."""
-    return max(_ONTO_ITSELF, key=lambda turn: float((turn * matrix).sum()))
 
 
 def _other_pitch(readings: GridReadings, observed: list[Observed | None], pitch: float) -> list[str]:

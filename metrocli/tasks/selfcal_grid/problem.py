@@ -109,14 +109,13 @@ class GridProblem(Modelled):
             seen[readings.observations.index[name]] = True
             blocks[name] = replace(blocks[name], free=blocks[name].free & seen[:, None])
         known = np.asarray(blocks[bg.ARTEFACT].free.all(axis=1))
-        others = [_touching(group, known) for group in self.model.groups[1:]]
+        others = [
+            group.selected(np.asarray(known[group.observations.index[bg.ARTEFACT]].all(axis=0)))
+            for group in self.model.groups[1:]
+        ]
         groups = _present([readings, *others])
         conditions = _conditions_on(self.grid, blocks, scale_given=len(groups) > 1)
         return replace(self, model=replace(self.model, blocks=blocks, groups=groups), conditions=conditions)
-
-
-def _touching(group: Group, known: Mask) -> Group:
-    return group.selected(np.asarray(known[group.observations.index[bg.ARTEFACT]].all(axis=0)))
 
 
 def _present(groups: Sequence[Group]) -> tuple[Group, ...]:

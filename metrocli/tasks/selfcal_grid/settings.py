@@ -29,9 +29,7 @@ VIEWS = Columns(
     group=("view", "repeat"),
 )
 LENGTHS = Columns(
-    columns("view?* [text]", "i1 j1 k1 i2 j2 k2 [whole]", "length sigma [length]"),
-    (),
-    "calibrated distances of balls",
+    columns("view?* [text]", "i1 j1 k1 i2 j2 k2 [whole]", "length sigma [length]"), (), "calibrated distances of balls"
 )
 POINTS = Columns(columns("point [text]", "x y z [length]"), ("point",), "points at which the machine error is wanted")
 

@@ -165,7 +165,7 @@ def test_what_is_not_determined_has_no_number() -> None:
 def test_the_ratio_is_that_of_the_worst_machine_that_can_be_thought_of() -> None:
     """No random change of the unknowns has a larger ratio; the worst one has it."""
     from metrocli.adjust.dense_jacobian import rows, unit_noise, unknowns_of
-    from metrocli.tasks.calibrate_machine.rank.amplification import volume_matrix
+    from metrocli.tasks.calibrate_machine.rank.identifiability import volume_matrix
 
     rng = np.random.default_rng(10)
     table = sim.points(sim.random_machine(rng), rng, 60)

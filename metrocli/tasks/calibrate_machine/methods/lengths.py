@@ -183,7 +183,10 @@ def unseen_senses(tables: Tables, settings: Settings) -> dict[str, float]:
     vectors = tables.blocks[TOOL].values
     alike = np.ptp(vectors, axis=0) <= settings.machine.tool_std
     backwards = {axis: _mirrored(motion, counts, axis) for axis in np.flatnonzero(alike).tolist()}
-    return {AXES[axis]: _largest(mirrored - motion, position) for axis, mirrored in backwards.items()}
+    return {
+        AXES[axis]: float(np.linalg.norm(without_rigid_motion(mirrored - motion, position), axis=0).max())
+        for axis, mirrored in backwards.items()
+    }
 
 
 def _error(tables: Tables, position: Array) -> Array:
@@ -197,7 +200,3 @@ def _mirrored(motion: Array, counts: Sequence[int], axis: int) -> Array:
     mirrored = np.flip(motion.reshape(-1, *counts), axis + 1).reshape(motion.shape)
     mirrored[axis] *= -1
     return mirrored
-
-
-def _largest(change: Array, position: Array) -> float:
-    return float(np.linalg.norm(without_rigid_motion(change, position), axis=0).max())

@@ -16,16 +16,7 @@ from metrocli.arrays import Array, Mask
 from metrocli.errors import Fault, InputError
 from metrocli.instruments.axes.rotary import gauge
 from metrocli.instruments.machine import ANGLES, AXES, TOOL, Machine
-from metrocli.instruments.six_dof import (
-    CHANNELS,
-    COLUMNS,
-    DISPLACEMENT,
-    LINE,
-    TURN,
-    LineNoise,
-    line_block,
-    line_chain,
-)
+from metrocli.instruments.six_dof import CHANNELS, COLUMNS, DISPLACEMENT, LINE, TURN, LineNoise, line_block, line_chain
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine.described import (
     error_blocks,
@@ -35,13 +26,7 @@ from metrocli.tasks.calibrate_machine.described import (
     raise_if,
     tool_prior,
 )
-from metrocli.tasks.calibrate_machine.methods.lines import (
-    MeasuredLines,
-    approach,
-    line_conditions,
-    lines_of,
-    runs_of,
-)
+from metrocli.tasks.calibrate_machine.methods.lines import MeasuredLines, approach, line_conditions, lines_of, runs_of
 from metrocli.tasks.calibrate_machine.problem import MachineProblem, conditions, model_of
 from metrocli.tasks.calibrate_machine.settings import Settings
 from metrocli.words import listed

@@ -151,11 +151,7 @@ def targets(settings: Settings, blocks: Mapping[str, Block], table: Table, refle
         unknowns[ON_WORKPIECE], known_places = _listed(reflectors, "reflector", fixed)
         others += known_places
     return MeasuredTargets(
-        unknowns,
-        np.where(on_workpiece, 0, number),
-        np.where(on_workpiece, number, 0),
-        on_workpiece,
-        tuple(others),
+        unknowns, np.where(on_workpiece, 0, number), np.where(on_workpiece, number, 0), on_workpiece, tuple(others)
     )
 
 

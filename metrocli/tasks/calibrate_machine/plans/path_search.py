@@ -18,8 +18,7 @@ from metrocli.instruments.machine import TOOL, Machine
 from metrocli.instruments.machine_path import Path
 from metrocli.instruments.tracker import LEG
 from metrocli.tasks.calibrate_machine.problem import MachineProblem
-from metrocli.tasks.calibrate_machine.rank.amplification import volume_matrix
-from metrocli.tasks.calibrate_machine.rank.identifiability import identify
+from metrocli.tasks.calibrate_machine.rank.identifiability import identify, volume_matrix
 
 _CHOICE = 40
 _WORST = 6

@@ -4,14 +4,7 @@ from __future__ import annotations
 
 from metrocli.frozen import dataclass
 from metrocli.nc_program import CONTROLS
-from metrocli.settings import (
-    Choice,
-    ListOf,
-    Number,
-    Whole,
-    WithUnit,
-    setting,
-)
+from metrocli.settings import Choice, ListOf, Number, Whole, WithUnit, setting
 
 
 @dataclass(frozen=True)

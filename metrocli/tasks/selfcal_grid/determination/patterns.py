@@ -19,7 +19,10 @@ def patterns(problem: GridProblem) -> Iterator[tuple[str, Projector]]:
     sites = problem.grid.sites
     pairs = _lonely(problem)
     if pairs.any():
-        yield "machine errors at sites seen once, by a ball seen once", _chosen(pairs)
+        yield (
+            "machine errors at sites seen once, by a ball seen once",
+            lambda fields: np.asarray(fields * pairs[:, None, None]),
+        )
     for a in range(3):
         yield f"another scale along {'xyz'[a]}", _onto(np.eye(3)[a] * sites[:, a, None])
     for a in range(3):
@@ -54,10 +57,6 @@ def _lonely(problem: GridProblem) -> Array:
     lonely = np.zeros(len(problem.grid.sites), dtype=bool)
     lonely[site[alone]] = True
     return lonely
-
-
-def _chosen(sites: Array) -> Projector:
-    return lambda fields: np.asarray(fields * sites[:, None, None])
 
 
 def _onto(field: Array) -> Projector:

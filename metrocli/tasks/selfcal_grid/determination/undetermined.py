@@ -84,7 +84,7 @@ def opened(problem: GridProblem, design: FieldDesign) -> Open:
     if extra <= 0:
         return Open(scale, (), ())
     mountings = tuple(_loose_mountings(problem, design))
-    basis, fields = _machine_fields(problem, design)
+    basis, fields = _machine_fields(design)
     families = tuple(_families(problem, basis, fields, extra - sum(mounting.count for mounting in mountings)))
     tried = (Remedy(words, _left_with(problem, design, view)) for words, view in candidates())
     remedies = sorted(tried, key=lambda remedy: remedy.left)
@@ -178,7 +178,7 @@ def _standard(problem: GridProblem) -> dict[str, Array]:
     return {bg.MACHINE: machine, bg.ARTEFACT: artefact, bg.VIEW: mounting}
 
 
-def _machine_fields(problem: GridProblem, design: FieldDesign) -> tuple[Array, Array]:
+def _machine_fields(design: FieldDesign) -> tuple[Array, Array]:
     """Return an orthonormal basis of the open machine errors, (3 sites, k), and the same as fields (sites, 3, k)."""
     columns = design.partition.columns[bg.MACHINE]
     null = np.where((columns >= 0)[:, :, None], design.null[np.maximum(columns, 0)], 0.0).reshape(columns.size, -1)

@@ -9,14 +9,7 @@ import numpy as np
 from metrocli.adjust.small_programmes import highest, quadratic
 from metrocli.arrays import Array
 from metrocli.errors import NotConvergedError
-from metrocli.tasks.shared.features.fit import (
-    Criterion,
-    FeatureFit,
-    ZoneContact,
-    distances,
-    gradients,
-    least_squares,
-)
+from metrocli.tasks.shared.features.fit import Criterion, FeatureFit, ZoneContact, distances, gradients, least_squares
 from metrocli.tasks.shared.features.ideal import STEP, ZONE_UNKNOWNS, Ideal, IdealFeature
 
 _ITERATIONS = 200

@@ -22,8 +22,7 @@ from metrocli.effects.extension import with_conditions
 from metrocli.effects.model import Model
 from metrocli.instruments.camera import LENS, TARGET
 from metrocli.tasks.shared.diagnosed import FOLDS
-from metrocli.tasks.shared.images.adjustment import IMAGES, AdjustedImages
-from metrocli.tasks.shared.images.principal_point import held_in_the_middle
+from metrocli.tasks.shared.images.adjustment import IMAGES, AdjustedImages, held_in_the_middle
 
 PLACE = "place in the image"
 
