@@ -165,28 +165,25 @@ def write_extended(
 
     `result` is the output of that job, by default `NAME.extended.h5` beside the output of this one. Structure that is
     left stands in it as correlated errors, as a law with `cause: unknown` (the chosen one, or the next simpler one with
-    which the job can be adjusted), or as structured noise. Returns None if nothing changes.
-    In another folder, its paths lead to the same files. Parameters that the readings do not determine separately are 0.
-    Raises InputError if the file there is no extended job or was edited since, unless forced, and if it is an input.
+    which the job can be adjusted), or as structured noise. Returns None if nothing changes. In another folder, its
+    paths lead to the same files. Parameters that the readings do not determine separately are 0. Raises InputError if
+    the file there is no extended job or was edited since, unless forced, and if it is an input.
     """
     path = path or job.file.with_name(f"{job.file.stem}.extended.yaml")
     stated = proposed_noise(diagnosis) or proposed_correlated(diagnosis) or _correction(diagnosis)
     # a file that is wrong is mended first: its places are as noisy as the mistake makes them
     noisy = diagnosis.mistaken is None and proposed_variances(diagnosis)
-    others = bool(stated or noisy or diagnosis.scatters or any(finding.confirmed for finding in diagnosis.findings))
+    others = bool(stated or noisy or diagnosis.scatters or any(one.confirmed for one in diagnosis.findings))
     if not others and diagnosis.law is None:
         return None
     refuse_inputs([path], (*job.stated_in, *job.files))
     _refuse_foreign(path, force)
-    for law in _from_the_chosen(diagnosis):
+    for law in (*_from_the_chosen(diagnosis), *([None] if others else [])):
         _write(job, diagnosis, law, (path, result))
-        if _adjusts(path):
+        if law is None or _adjusts(path):
             return Extended(path, law)
-    if not others:
-        path.unlink(missing_ok=True)
-        return None
-    _write(job, diagnosis, None, (path, result))
-    return Extended(path, None)
+    path.unlink(missing_ok=True)
+    return None
 
 
 def _from_the_chosen(diagnosis: Diagnosis) -> Sequence[Law]:
