@@ -138,6 +138,8 @@ class AdjustedJob:
     delivered: Delivered
     refit: Callable[[Model, Mapping[str, Mask]], Solution]
     """Adjusts a model derived from this one to some of the readings of each group"""
+    noisier: tuple[str, ...] = ()
+    """Further kinds of place that may have their own noise: the lines"""
     list_offset: float = 0.0
     """Distance of places from where the files list them, relative to what is plausible; above 1 a file is wrong"""
     left_out: int = 0

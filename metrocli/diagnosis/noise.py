@@ -58,7 +58,7 @@ def noise_of(squares: float, dof: float) -> NoiseRatio:
 
 def variance_groups(job: AdjustedJob, system: Linearised) -> Iterator[tuple[str, str, Mask]]:
     """Yield kind, name and rows of all parts of a measurement that may have a noise of their own."""
-    for key in job.units:
+    for key in (*job.units, *job.noisier):
         for name in job.model.places[key].names:
             rows = system.rows_at({key: name})
             if rows.any():

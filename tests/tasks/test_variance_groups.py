@@ -313,3 +313,22 @@ def test_a_wrong_file_is_mended_before_its_noise_is_stated(tmp_path: Path) -> No
     mistaken = Mistaken((Mistake("nominal", "z is of another part", "another list"),), diagnosis.job, 6.0, 6.0)
     assert write_extended(job, replace(diagnosis, mistaken=mistaken)) is None
     assert write_extended(job, diagnosis) is not None
+
+
+def test_a_noisier_line_is_no_cause(tmp_path: Path, metrocli: Metrocli) -> None:
+    """A six-dof line with five times the noise had been named as the pitch error of a screw."""
+    metrocli("init", tmp_path / "p", "--sample", "machine-methods")
+    job, file = tmp_path / "p" / "jobs" / "six-dof.yaml", tmp_path / "p" / "data" / "lines.csv"
+    rows, rng = list(csv.DictReader(file.read_text().splitlines())), np.random.default_rng(11)
+    for row in (row for row in rows if row["line"] == "y"):
+        for column in ("ex_mm", "ey_mm", "ez_mm", "ea_rad", "eb_rad", "ec_rad"):
+            noise = 1e-6 if column.endswith("rad") else 0.5e-3 if column == "ey_mm" else 1e-3
+            row[column] = str(float(row[column]) + noise * np.sqrt(24) * float(rng.normal()))
+    with file.open("w", newline="") as target:
+        writer = csv.DictWriter(target, list(rows[0]))
+        writer.writeheader()
+        writer.writerows(rows)
+    found = json.loads(metrocli("diagnose", job, "--json").out)
+    assert found["verdict"] == "clean" and not found["effects"]
+    (apart,) = found["noise"]["apart"]
+    assert apart["line"] == "y" and apart["ratio"] == pytest.approx(5.0, rel=0.25)

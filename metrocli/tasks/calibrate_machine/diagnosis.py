@@ -58,6 +58,7 @@ def adjusted_job(solved: AdjustedMachine) -> AdjustedJob:
         {group.name: _parts(group)},
         _delivered(problem.machine, model),
         refit,
+        noisier=tuple(kind for kind in ("line", "ball") if model.places[kind].index in group.observations.index),
         left_out=len(solved.rejected),
         made_together=("leg",) if _condensed(group) else (),
         variations=lambda model, readings: () if _condensed(group) else _variations(model, readings),
