@@ -9,7 +9,6 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import ndtr
 
 from metrocli.arrays import Array, Picture
 from metrocli.targets.blobs import Ellipse
@@ -90,6 +89,8 @@ class _Model:
         nu, nv = (p * x + q * y) / rho, r * y / rho
         steep = np.maximum(np.hypot(nu, nv), 1e-9)
         away = (rho - 1) / (steep * self.blur)
+        from scipy.special import ndtr
+
         covered = ndtr(-away)
         light = 1 + self.slope[0] * du + self.slope[1] * dv
         level = self.background + self.contrast * covered
@@ -288,9 +289,8 @@ def _axes_of(shape: Array, blur: float) -> tuple[Array, float]:
     Blur moves the half level of a convex edge inwards by blur^2 / (2 radius of curvature). This is added back.
     """
     values, vectors = np.linalg.eigh(shape.T @ shape)
-    long, short = 1 / np.sqrt(values)
-    drawn = 0.5 * blur * blur * np.array([long / short**2, short / long**2])
-    return np.array([long, short]) + drawn, float(np.arctan2(vectors[1, 0], vectors[0, 0]) % np.pi)
+    axes = 1 / np.sqrt(values)
+    return axes + 0.5 * blur * blur * axes / axes[::-1] ** 2, float(np.arctan2(vectors[1, 0], vectors[0, 0]) % np.pi)
 
 
 def of_ellipses(targets: Sequence[str], fits: Sequence[FittedEllipse], reason: str = "") -> FoundTargets:
