@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from hints.bases import two_cameras
+from tasks.calibrate_camera import test_multi_camera as rig
 from tasks.shared.images import small_jobs
 
 from metrocli.adjust.dense_jacobian import unit_noise
@@ -332,3 +333,40 @@ def test_a_noisier_line_is_no_cause(tmp_path: Path, metrocli: Metrocli) -> None:
     assert found["verdict"] == "clean" and not found["effects"]
     (apart,) = found["noise"]["apart"]
     assert apart["line"] == "y" and apart["ratio"] == pytest.approx(5.0, rel=0.25)
+
+
+def test_a_noisier_camera_is_named_and_not_each_of_its_images(tmp_path: Path, metrocli: Metrocli) -> None:
+    rng, images = np.random.default_rng(12), rig.seen()
+    job = rig.job(
+        tmp_path,
+        {
+            name: uv + (rng.normal(0, 0.1 * np.sqrt(8), uv.shape) if name.startswith("right") else 0.0)
+            for name, uv in images.items()
+        },
+    )
+    found = json.loads(metrocli("diagnose", job, "--json").out)
+    assert found["verdict"] == "clean"
+    (apart,) = found["noise"]["apart"]
+    assert apart["camera"] == "right" and apart["ratio"] == pytest.approx(3.0, rel=0.15)
+    again = json.loads(metrocli("diagnose", tmp_path / "rig.extended.yaml", "--json").out)
+    assert again["verdict"] == "clean" and not again["noise"]["apart"]
+
+
+def test_a_noisier_instrument_is_named_and_not_each_of_its_stations(tmp_path: Path, metrocli: Metrocli) -> None:
+    """Three times the noise of the tracker at the first three stations of the sample, beside its two effects."""
+    metrocli("init", tmp_path / "p", "--sample", "hall-trackers")
+    job, file = tmp_path / "p" / "jobs" / "hall.yaml", tmp_path / "p" / "data" / "readings.csv"
+    rows, rng = list(csv.DictReader(file.read_text().splitlines())), np.random.default_rng(13)
+    for row in (row for row in rows if row["station"] in ("S1", "S2", "S3")):
+        distance = float(row["d_mm"])
+        angle = float(np.hypot(0.4 / 3600, np.degrees(4e-3 / distance)))
+        for column, noise in (("az_deg", angle), ("el_deg", angle), ("d_mm", np.hypot(2e-3, 3e-7 * distance))):
+            row[column] = str(float(row[column]) + float(noise * np.sqrt(8) * rng.normal()))
+    with file.open("w", newline="") as target:
+        writer = csv.DictWriter(target, list(rows[0]))
+        writer.writeheader()
+        writer.writerows(rows)
+    found = json.loads(metrocli("diagnose", job, "--json").out)
+    assert {effect["name"] for effect in found["effects"]} == {"tracker-beam-offset", "point-moved"}
+    (apart,) = found["noise"]["apart"]
+    assert apart["instrument"] == "LT1" and apart["ratio"] == pytest.approx(3.0, rel=0.15)

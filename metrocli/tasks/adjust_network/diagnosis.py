@@ -40,6 +40,7 @@ def adjusted_job(solved: AdjustedNetwork) -> AdjustedJob:
     free = model.blocks[t.POINT].free.any()
     stations = next((name for name in (s.STATION, s.LEVELLED, t.TRACER) if name in model.blocks), t.POINT)
     timed = any("t" in group.observations.conditions for group in model.readings)
+    places = model.places
     delivered = ("point coordinates", t.POINT) if free else ("places of the stations", stations)
     return AdjustedJob(
         KIND.name,
@@ -50,6 +51,7 @@ def adjusted_job(solved: AdjustedNetwork) -> AdjustedJob:
         {group.name: _folds(group) for group in model.readings},
         Delivered(*delivered, (0, 1, 2), "um", "length"),
         refit,
+        noisier=("instrument",) if 1 < len(places["instrument"].names) < len(places["station"].names) else (),
         list_offset=solved.list_offset,
         left_out=len(solved.rejected),
         fewest=1,

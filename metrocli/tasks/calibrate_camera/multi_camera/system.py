@@ -104,6 +104,7 @@ def system_of(
     listed = blocks[camera.TARGET].with_values(points)
     datum = target_datum(settings.rig, listed, several=True) if free.any() else None
     places = {"image": Place(sighted.images, IMAGE), "target": Place(targets.names, camera.TARGET)}
+    places["camera"] = Place(exposed.cameras, camera.LENS)
     seen_in = np.bincount(sighted.target, minlength=len(targets.names))
     known = (*priors(blocks[camera.TARGET], targets.sigma, free), *scale_bars(bars, targets.names, seen_in))
     model = Model(blocks, (group, *known), datum, (IMAGES,), places, nominal={camera.TARGET: targets.points})

@@ -117,6 +117,7 @@ def adjusted_job(system: CameraSystem, adjusted: AdjustedImages) -> AdjustedJob:
         folds(index["view"]),
         Delivered("places of the cameras", camera.MOUNT, (0, 1, 2), "um", "length"),
         refit(system.datum),
+        noisier=("camera",),
         left_out=len(adjusted.rejected),
         fewest=2,
         single_components=True,
