@@ -49,6 +49,7 @@ def adjusted_job(problem: AlignmentProblem, adjusted: AdjustedImages) -> Adjuste
         folds(index["view"]),
         Delivered("place of the part", spindle.PART, (0, 1, 2), "um", "length"),
         refit(problem.datum),
+        noisier=tuple(kind for kind in ("camera",) if kind in model.places),
         left_out=len(adjusted.rejected),
         fewest=2,
         single_components=True,

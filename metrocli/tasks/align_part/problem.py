@@ -18,7 +18,7 @@ from metrocli.errors import Fault, InputError, UndeterminedError
 from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.instruments import spindle_camera as spindle
-from metrocli.instruments.camera import TAPER, TARGET, list_datum, target_block
+from metrocli.instruments.camera import LENS, TAPER, TARGET, list_datum, target_block
 from metrocli.tasks.align_part.camera import CameraModel
 from metrocli.tasks.align_part.effects import EFFECTS, EXPANSION
 from metrocli.tasks.align_part.exchanged import refuse_exchanged
@@ -126,6 +126,7 @@ def build(
     if sighted.eccentric:
         group, blocks = corrected(group, blocks, others, datum, targets.radius)
     places = places_of(exposed.names, targets.names)
+    places |= {"camera": Place(camera.names, LENS)} if camera.names[1:] else {}
     nominal = {TARGET: targets.points}
     model = Model(blocks, (group, *others), datum, (IMAGES,), places, nominal=nominal)
     notes = () if commanded.machine is None else (note_of(motion),)

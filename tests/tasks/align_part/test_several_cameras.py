@@ -155,3 +155,15 @@ def rows_of(file: Path, begin: str) -> list[str]:
 
 def given(keys: Mapping[str, str]) -> list[str]:
     return [part for key, value in keys.items() for part in ("--set", f"{key}={value}")]
+
+
+def test_a_noisier_camera_is_named(noisy: Path, metrocli: Metrocli) -> None:
+    rng, rows = np.random.default_rng(6), []
+    for image, target, u, v in (row.split(",") for row in rows_of(noisy.parent / "obs.csv", "")):
+        spread = rig.NOISE * np.sqrt(15.0) if image.startswith("right") else 0.0
+        rows.append(f"{image},{target},{float(u) + spread * rng.normal()},{float(v) + spread * rng.normal()}")
+    rig.write(noisy.parent / "obs.csv", "seen", rows)
+    found = json.loads(metrocli("diagnose", noisy, "--json").out)
+    assert not found["effects"]
+    (apart,) = found["noise"]["apart"]
+    assert apart["camera"] == "right" and apart["ratio"] == pytest.approx(4.0, rel=0.25)
