@@ -83,7 +83,7 @@ def misfit_ratio(job: AdjustedJob) -> float:
 def _readings_of(inputs: Inputs, adjust: Adjust, others: Others) -> Iterator[tuple[Mistake, Callable[[], AdjustedJob]]]:
     """Yield each possible mistake, with what adjusts the job without it: first those that the kind of job knows."""
     # settings first: one that leaves only noise settles what else is tried
-    yield from others(False)
+    yield from others(np.inf)
     for mistake, changed in corrections(inputs):
         yield mistake, partial(adjust, changed)
 

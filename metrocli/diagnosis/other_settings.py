@@ -15,26 +15,19 @@ from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.probabilities import f_tail
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.trials import FAILURES, MOST_ROWS, Mistaken, Others, adjusted_trials
+from metrocli.doubt import MANY_LEFT_OUT
 from metrocli.effects.model import Model
 
 _OTHER_FITS = 2.0
 """Another setting is reported if it makes the squared residuals so many times smaller, or with fewer unknowns any"""
 _BY_CHANCE = 1e-4
 """Level of the F test that they are smaller by chance"""
-_MANY_LEFT_OUT, _FEWER = 3, 3.0
-"""Fewest outliers that may have one cause in the settings: another setting that leaves out so many times fewer"""
+_FEWER = 3.0
+"""Another setting is reported, too, if it leaves out so many times fewer outliers"""
 _SURELY = 1.05
 """A least mean square that is so many times what would do rules an adjustment out: it is known to a few thousandths"""
 _MOST_FITTING, _LARGER_NOISE = 5_000, 2.0
 """Most readings of a job that is tried though its residuals are no more than so many standard deviations"""
-
-
-def fits(sigma0: float, left_out: int) -> bool:
-    """Return whether readings fit so well that no setting which they show can be wrong.
-
-    Right settings leave the noise, so that these squares cannot become half as large.
-    """
-    return sigma0**2 <= _OTHER_FITS and left_out < _MANY_LEFT_OUT
 
 
 def with_other_setting(job: AdjustedJob, others: Others) -> Mistaken | None:
@@ -53,9 +46,9 @@ def with_other_setting(job: AdjustedJob, others: Others) -> Mistaken | None:
     count, rows = sum(each.count for each in observed), sum(each.readings.size for each in observed)
     if count > (_MOST_FITTING if before <= _LARGER_NOISE**2 else MOST_ROWS):
         return None
-    many = job.left_out >= _MANY_LEFT_OUT
+    many = job.left_out >= MANY_LEFT_OUT
     hopeless = partial(_cannot_fit, size=size, most=before * _OTHER_FITS if many else before / _OTHER_FITS)
-    trials = others(fits(float(np.sqrt(before * rows / dof)), job.left_out), hopeless)
+    trials = others(float(np.sqrt(before * rows / dof)), job.left_out, hopeless)
     each = [
         (not (many and other.left_out * _FEWER <= job.left_out), _mean_square(other, size), mistake, other)
         for mistake, _, other in adjusted_trials(trials)

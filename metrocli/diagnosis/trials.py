@@ -19,8 +19,8 @@ FAILURES = (UndeterminedError, NotConvergedError, InputError)
 Trial = tuple[Mistake, Callable[[], AdjustedJob]]
 """What may be wrong, with what adjusts the job without it"""
 Others = Callable[..., Iterable[Trial]]
-"""Takes whether the job fits, and perhaps which models are hopeless (`Task.others`); returns what may be wrong in its
-settings"""
+"""Takes sigma0, the number of readings left out, and which models are hopeless (`Task.others`); returns what may be
+wrong in the settings"""
 
 
 @dataclass(frozen=True)

@@ -127,7 +127,6 @@ def counting(held: Mapping[str, Any], progress: Progress) -> dict[str, Any]:
 def _sound(file: JobFile, job: Job[Any, Any], progress: Progress) -> Result:
     """Return the result of a job; raise InputError if a file fits far better when it is read in another way."""
     from metrocli.diagnosis.mistakes import misread, suspicious
-    from metrocli.diagnosis.other_settings import fits
 
     task = tasks.KINDS[file.kind].task()
     failure: MetrocliError | None = None
@@ -139,8 +138,8 @@ def _sound(file: JobFile, job: Job[Any, Any], progress: Progress) -> Result:
         # a sound job pays nothing for the other readings of its files (docs/decisions/058)
         if not suspicious(sigma0, result.list_offset):
             rejected = result.statistics.get("rejected", 0)
-            sound = fits(sigma0, rejected if isinstance(rejected, int) else 0)
-            return _with_other_setting(result, adjustment, partial(task.others, job), sound)
+            left_out = rejected if isinstance(rejected, int) else 0
+            return _with_other_setting(result, adjustment, partial(task.others, job), sigma0, left_out)
     except MetrocliError as error:
         if task.diagnosed is None:
             raise
@@ -157,7 +156,7 @@ def _sound(file: JobFile, job: Job[Any, Any], progress: Progress) -> Result:
         raise refusal from failure
     if failure is not None:
         raise failure
-    return _with_other_setting(_elsewhere(result), adjustment, partial(task.others, job), fits=False)
+    return _with_other_setting(_elsewhere(result), adjustment, partial(task.others, job), float("inf"))
 
 
 def _elsewhere(result: Result) -> Result:
@@ -171,11 +170,13 @@ def _elsewhere(result: Result) -> Result:
     return replace(result, doubts=(*result.doubts, doubt))
 
 
-def _with_other_setting(result: Result, adjustment: Adjustment | None, others: Others, fits: bool) -> Result:
+def _with_other_setting(
+    result: Result, adjustment: Adjustment | None, others: Others, sigma0: float, left_out: int = 0
+) -> Result:
     """Return a result that is doubtful where the readings fit far better with another setting of its job."""
     from metrocli.diagnosis.other_settings import with_other_setting
 
-    if adjustment is None or not others(fits):
+    if adjustment is None or not others(sigma0, left_out):
         return result
     mistaken = with_other_setting(adjustment(), others)
     if mistaken is None:

@@ -7,6 +7,7 @@ from dataclasses import field
 from functools import partial
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
+from metrocli.doubt import MANY_LEFT_OUT
 from metrocli.frozen import dataclass
 
 if TYPE_CHECKING:
@@ -81,6 +82,8 @@ class Task(Generic[S, F]):
     """Returns the model of a job at its starting values; for kinds with other settings"""
     other_settings: Callable[[Job[S, F], bool], Iterable[tuple[Mistake, Job[S, F]]]] | None = None
     """What may be wrong in the settings, each with the job that is right then; takes whether the readings fit"""
+    fits_up_to: float = 2.0
+    """Largest sigma0 of readings that fit: where each trial of a setting is short, the least that another can halve"""
 
     def job(self, settings: S, *contents: Any, effects: Sequence[RequestedEffect] = (), **named: Any) -> Job[S, F]:
         """Return a job from settings and the contents of its files, given in the order of `files` or by name."""
@@ -91,22 +94,25 @@ class Task(Generic[S, F]):
         return (self.run(job), None) if self.with_adjustment is None else self.with_adjustment(job)
 
     def others(
-        self, job: Job[S, F], fits: bool, hopeless: Hopeless = never
+        self, job: Job[S, F], sigma0: float, left_out: int = 0, hopeless: Hopeless = never
     ) -> list[tuple[Mistake, Callable[[], AdjustedJob]]]:
         """Return what may be wrong in the settings of a job, each with what adjusts the job without it."""
         adjusted = self.diagnosed
         if adjusted is None:
             return []
-        return [(mistake, partial(adjusted, other)) for mistake, other in self.jobs_with_others(job, fits, hopeless)]
+        jobs = self.jobs_with_others(job, sigma0, left_out, hopeless)
+        return [(mistake, partial(adjusted, other)) for mistake, other in jobs]
 
     def jobs_with_others(
-        self, job: Job[S, F], fits: bool, hopeless: Hopeless = never
+        self, job: Job[S, F], sigma0: float, left_out: int = 0, hopeless: Hopeless = never
     ) -> Iterator[tuple[Mistake, Job[S, F]]]:
         """Yield what may be wrong in the settings of a job, each with the right job, but those that are hopeless.
 
-        `hopeless` takes a function that returns the model of a job at its start.
+        `sigma0` is that of the job, which leaves out some readings as outliers. `hopeless` takes a function that
+        returns the model of a job at its start.
         """
         if self.other_settings is not None:
+            fits = sigma0 <= self.fits_up_to and left_out < MANY_LEFT_OUT
             for mistake, other in self.other_settings(job, fits):
                 if self.begun is None or not hopeless(partial(self.begun, other)):
                     yield mistake, other

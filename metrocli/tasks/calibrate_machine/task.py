@@ -135,6 +135,7 @@ TASK = Task(
     with_adjustment=with_adjustment,
     begun=begun,
     other_settings=other_settings,
+    fits_up_to=2**0.5,
     effects=EFFECTS,
     places=PLACES,
     covariates=covariates,

@@ -132,7 +132,7 @@ def test_no_other_reading_of_the_files_is_tried_for_motions_that_the_job_leaves_
     def tried(*_: object) -> None:
         raise AssertionError("a correction is tried")
 
-    monkeypatch.setattr("metrocli.diagnosis.mistakes._tried", tried)
+    monkeypatch.setattr("metrocli.diagnosis.mistakes.adjusted_trials", tried)
     job = network(np.random.default_rng(60), 4, 15).write(tmp_path, more="datum_points: [P001, P002]\n")
     ran = metrocli("adjust-network", job)
     assert ran.code == 4 and "`datum_points` leave open" in ran.err, ran.err
