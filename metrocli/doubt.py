@@ -108,7 +108,8 @@ def _depleted(tables: Mapping[str, Table], thinned: bool) -> Iterator[str]:
                 yield (
                     f"{lost[name, '']} of {whole[name, '']} readings of {source} {name} are left out as outliers"
                     f"{' (' * bool(each)}{', '.join(each)}{')' * bool(each)}: so many have one cause. "
-                    f"Look at {_SOURCES[source]} of this {source}; do not use this result"
+                    f"Look at {_SOURCES[source]} of this {source} (`metrocli diagnose` tries others); do not use "
+                    "this result"
                 )
 
 

@@ -19,9 +19,10 @@ from metrocli.table import Table
 from metrocli.tasks.adjust_network.readings import NetworkReadings, read
 from metrocli.tasks.adjust_network.settings import Files, Settings
 from metrocli.tasks.adjust_network.starts.agreement import NetworkStart, disagreement, list_offset, medians, placed
+from metrocli.tasks.adjust_network.starts.handedness import mirrored_groups
 from metrocli.tasks.adjust_network.starts.search import start
 from metrocli.tasks.job import Job
-from metrocli.words import listed
+from metrocli.words import in_a_row, listed
 
 _GON = 0.9
 """Degrees in a gon"""
@@ -56,6 +57,7 @@ def other_settings(job: Job[Settings, Files], fits: bool) -> Iterator[_Other]:
         yield from _angles(job)
         return
     yield from _faces(job, readings)
+    yield from _mirrored(job, readings)
     rough = _started(readings)
     if rough is not None:
         yield from _exchanged(job, readings, rough)
@@ -188,6 +190,22 @@ def _faces(job: Job[Settings, Files], readings: NetworkReadings) -> Iterator[_Ot
     face[raw] = 2.0
     mistake = Mistake("readings", words, write, file=table.file, sort="faces", columns=0)
     yield _with(job, mistake, {azimuth: values, "face": face})
+
+
+def _mirrored(job: Job[Settings, Files], readings: NetworkReadings) -> Iterator[_Other]:
+    """Yield stations whose azimuths count the other way than those of others, or their elevations, if not levelled."""
+    table = job.files.sightings
+    for group in mirrored_groups(readings):
+        names = [readings.stations.names[station] for station in group]
+        here = np.isin(table.texts("station"), names)
+        level = all(readings.of(station).is_levelled for station in group)
+        for column in (name for name in ("az", "hz", *(() if level else ("el",))) if name in table):
+            way = "has the wrong sign" if column == "el" else "counts the other way"
+            what = f"{column} of {in_a_row(names)}"
+            mistake = Mistake(
+                "readings", f"{what} {way}", f"{what} with the other sign", file=table.file, sort="handed", columns=0
+            )
+            yield _with(job, mistake, {column: np.where(here, -1.0, 1.0) * table.numbers(column)})
 
 
 def _stations(job: Job[Settings, Files], readings: NetworkReadings) -> Iterator[_Other]:

@@ -136,3 +136,51 @@ def test_no_other_reading_of_the_files_is_tried_for_motions_that_the_job_leaves_
     job = network(np.random.default_rng(60), 4, 15).write(tmp_path, more="datum_points: [P001, P002]\n")
     ran = metrocli("adjust-network", job)
     assert ran.code == 4 and "`datum_points` leave open" in ran.err, ran.err
+
+
+def flipped(net: Network, stations: list[int], column: int) -> Network:
+    seen = net.seen.copy()
+    seen[np.isin(net.station, stations), column] *= -1
+    return replace(net, seen=seen)
+
+
+@pytest.mark.parametrize("column", [0, 1])
+@pytest.mark.parametrize(
+    ("count", "stations", "named"),
+    [(4, [2], ["S3"]), (5, [1, 4], ["S2 and S5"]), (2, [1], ["S1", "S2"]), (3, [0, 1, 2], [])],
+)
+def test_stations_that_see_the_points_mirrored_are_proposed(
+    count: int, stations: list[int], named: list[str], column: int, tmp_path: Path
+) -> None:
+    """Azimuths of the other sense and elevations of the other sign make the same mirror image."""
+    net = network(np.random.default_rng(61), count, 14)
+    # a gross error, which does not hide it
+    seen = net.seen.copy()
+    seen[5, 2] += 40.0
+    found = proposed(flipped(replace(net, seen=seen), stations, column), tmp_path)
+    expected = {
+        words for of in named for words in (f"az of {of} counts the other way", f"el of {of} has the wrong sign")
+    }
+    assert {words for words in found if " of S" in words} == expected
+
+
+def test_a_levelled_station_has_no_elevations_of_the_wrong_sign(tmp_path: Path) -> None:
+    net = network(np.random.default_rng(62), 3, 14, levelled=True)
+    found = proposed(flipped(net, [1], 0), tmp_path)
+    assert [words for words in found if " of S" in words] == ["az of S2 counts the other way"]
+
+
+def test_points_in_a_plane_show_no_mirror_image(tmp_path: Path) -> None:
+    net = network(np.random.default_rng(63), 3, 14)
+    flat = net.points * [1.0, 1.0, 0.0] + [0.0, 0.0, 1200.0]
+    away = np.einsum("nab,na->nb", net.rotations[net.station], flat[net.point] - net.places[net.station])
+    found = proposed(flipped(replace(net, points=flat, seen=polar(away)), [1], 0), tmp_path)
+    assert not [words for words in found if " of S" in words]
+
+
+def test_a_mirrored_station_is_refused_with_what_to_write(tmp_path: Path, metrocli: Metrocli) -> None:
+    """It was doubtful after 12 s: "no other unit or axis mends it"."""
+    net = flipped(network(np.random.default_rng(64), 3, 12), [1], 0)
+    ran = metrocli("adjust-network", net.write(tmp_path))
+    assert ran.code == 3 and "az of S2 counts the other way" in ran.err, ran.err
+    assert "write az of S2 with the other sign; as good: " in ran.err and "el of S2 has the wrong sign" in ran.err
