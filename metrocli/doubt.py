@@ -70,7 +70,8 @@ def _misfit(
     other = "" if limits else '; `require: {sigma0: "< 5"}` sets another limit'
     return (
         f"sigma0 = {sigma0:.3g} where {allowed} is allowed, and chance exceeds {bound:.3g} in 0.1 % of cases only: "
-        f"model and declared noise do not fit the readings, do not use this result{other}",
+        "model and declared noise do not fit the readings, do not use this result; `metrocli diagnose` looks for "
+        f"the cause{other}",
     )
 
 

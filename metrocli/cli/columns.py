@@ -53,7 +53,7 @@ def _aligned(cells: Sequence[str], name: bool) -> list[str]:
 
 
 def in_unit_of_row(table: Table) -> list[str]:
-    """Return the columns whose numbers have the unit of their row."""
+    """Return the columns whose numbers have the unit of their row; those of plain numbers have the unit 1."""
     return [name for name, values in table.columns.items() if values.dtype.kind == "f" and name not in table.units]
 
 
@@ -90,7 +90,7 @@ def _column(table: Table, name: str) -> tuple[str, list[str]]:
     if size != 1.0:
         values = [value / size for value in values]
     decimals = max(1 - math.floor(math.log10(least / size)), 0) if least > 0 else _five_digits(values)
-    return f"{name} [{symbol}]" if symbol else name, [_cell(value, decimals) for value in values]
+    return name if symbol in ("", "1") else f"{name} [{symbol}]", [_cell(value, decimals) for value in values]
 
 
 def _std_of(table: Table, name: str) -> str | None:

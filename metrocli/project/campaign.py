@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 from metrocli.errors import Fault, InputError
@@ -19,6 +20,7 @@ from metrocli.table import MOST_FAULTS
 from metrocli.words import suggestion
 
 KEY = "for"
+_ONE = re.compile(r"(.+\.ya?ml)\[(.+)\]")
 _NAME = re.compile(r"\{([^{}\s]+)\}")
 
 
@@ -79,6 +81,22 @@ def parts_of(root: Node) -> tuple[CampaignPart, ...]:
     if faults:
         raise InputError(faults[:MOST_FAULTS])
     return tuple(parts.values())
+
+
+def named_part(path: Path, root_of: Callable[[Path], Node]) -> tuple[Path, CampaignPart | None]:
+    """Return the file and the part that a path `JOB.yaml[PART]` names, else the path and None.
+
+    Raises InputError if the job has no such part.
+    """
+    named = None if path.exists() else _ONE.fullmatch(str(path))
+    if named is None:
+        return path, None
+    file, name = Path(named[1]), named[2]
+    parts = {part.name: part for part in parts_of(root_of(file))}
+    if name not in parts:
+        hint = suggestion(name, parts) if parts else f"it is for one part only: it has no '{KEY}:'"
+        raise InputError([Fault(f"the job has no part '{name}'", str(file), hint=hint)])
+    return file, parts[name]
 
 
 _Placed = tuple[CampaignPart, Callable[[str], Fault]]

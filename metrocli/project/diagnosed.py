@@ -169,7 +169,7 @@ def write_extended(
     paths lead to the same files. Parameters that the readings do not determine separately are 0. Raises InputError if
     the file there is no extended job or was edited since, unless forced, and if it is an input.
     """
-    path = path or job.file.with_name(f"{job.file.stem}.extended.yaml")
+    path = path or job.file.with_name(f"{job.stem}.extended.yaml")
     stated = proposed_noise(diagnosis) or proposed_correlated(diagnosis) or _correction(diagnosis)
     # a file that is wrong is mended first: its places are as noisy as the mistake makes them
     noisy = diagnosis.mistaken is None and proposed_variances(diagnosis)

@@ -19,15 +19,15 @@ from metrocli.frozen import dataclass
 from metrocli.nodes import Node
 from metrocli.project import yaml_text
 from metrocli.project.campaign import KEY as CAMPAIGN
-from metrocli.project.campaign import CampaignPart, bound, parts_of
+from metrocli.project.campaign import CampaignPart, bound, named_part, parts_of
 from metrocli.project.heading import Heading
 from metrocli.project.named_files import Input, inputs_of, missing
 from metrocli.project.own_effects import Defining, Package, UserEffects, own_effects
 from metrocli.project.ranges import effect_node, overridden, ranges_of, within
+from metrocli.project.requirements import figures_of
 from metrocli.project.yaml_text import YamlFiles
 from metrocli.settings import BAD, Schema, read_sections, sections_schema, settings_of
 from metrocli.tasks.job import Task
-from metrocli.tasks.shared.figures import of_effects
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,6 @@ class JobFile:
     effects: tuple[RequestedEffect, ...] = ()
     wishes: JobOptions = field(default_factory=lambda: JobOptions())
     """What the command line asked for when it was loaded"""
-
     own: UserEffects = field(default_factory=UserEffects)
     """User-defined effects, which extend the table of the kind"""
 
@@ -83,6 +82,11 @@ class JobFile:
         return self.heading.job
 
     @property
+    def stem(self) -> str:
+        """Its name in those of files made from it: of a job for many parts with the part, `gear.A1`."""
+        return f"{self.file.stem}.{self.wishes.part.name}" if self.wishes.part else self.file.stem
+
+    @property
     def folder(self) -> Path:
         """The folder to which paths in the job are relative."""
         return self.file.parent
@@ -117,11 +121,12 @@ class JobOptions:
 
 
 def load(path: Path, wishes: JobOptions | None = None) -> JobFile:
-    """Return a job.
+    """Return a job; the path `JOB.yaml[PART]` names one part of a job for many.
 
     Raises InputError with all faults of the file and its YAML inputs, UsageError if the job is of another kind.
     """
     wishes = wishes or JobOptions()
+    path, wishes = _named(path, wishes)
     faults: list[Fault] = []
     root, text = _stated(path, wishes, faults)
     read = _read(root, path, wishes, faults)
@@ -150,7 +155,7 @@ def _stated(path: Path, wishes: JobOptions, faults: list[Fault]) -> tuple[Node, 
         root = bound(root, wishes.part)
         text = yaml_text.emit(root, f"{path.name}, for {wishes.part.name}")
     elif root.get(CAMPAIGN) is not None:
-        hint = "name it in a project (metrocli.yaml) and use: metrocli run PROJECT --only JOB[PART]"
+        hint = f"name one part: '{path}[PART]', in quotes; or list the job in metrocli.yaml, and use: metrocli run"
         raise InputError([root.at(CAMPAIGN).fault("this file is a job for each of many parts", hint)])
     return root, text
 
@@ -160,7 +165,8 @@ def _read(root: Node, path: Path, wishes: JobOptions, faults: list[Fault]) -> _R
     more = tuple(effect_node(effect, path.parent) for effect in wishes.effects)
     kind = _kind(root, path, wishes.kind)
     if kind is None:
-        read_sections(_only(root, settings_of(Heading)), (Heading,), faults)
+        known = tuple(entry for entry in root.entries if entry[0].text in settings_of(Heading))
+        read_sections(replace(root, entries=known), (Heading,), faults)
         raise InputError(_in_order(faults))
     section = tasks.KINDS[kind].settings()
     heading, settings = read_sections(root, (Heading, section), faults)
@@ -228,25 +234,27 @@ def _checked(
         raise InputError(_in_order(faults))
     output = wishes.output or heading.output or path.parent / "results" / f"{path.stem}.h5"
     if os.path.realpath(output) in {os.path.realpath(file) for item in inputs for file in item.paths}:
-        fault = job.root.at("output").fault(f"the output {output} is one of the inputs", "name another output")
-        raise InputError([fault])
+        raise InputError([job.root.at("output").fault(f"the output {output} is one of the inputs", "name another one")])
     return inputs, output
-
-
-def figures_of(kind: str, settings: Any, requests: tuple[RequestedEffect, ...]) -> dict[str, str]:
-    """Return the units of all figures, by name, that the result of a job can have and a requirement can name."""
-    return tasks.KINDS[kind].figures(settings) | of_effects(requests)
 
 
 def load_parts(path: Path, wishes: JobOptions) -> list[JobFile]:
     """Return the job of a file, or one for each part if it is for many; raises as `load`."""
-    parts = parts_of(_root(path, wishes, [])[0])
+    path, wishes = _named(path, wishes)
+    parts = () if wishes.part else parts_of(_root(path, wishes, [])[0])
     return [load(path, replace(wishes, part=part)) for part in parts] or [load(path, wishes)]
 
 
 def kind_of_job(path: Path) -> str | None:
     """Return the kind of a job file, or None if it names no known kind."""
-    return _kind(_root(path, JobOptions(), [])[0], path, None)
+    path, wishes = _named(path, JobOptions())
+    return _kind(_root(path, wishes, [])[0], path, None)
+
+
+def _named(path: Path, wishes: JobOptions) -> tuple[Path, JobOptions]:
+    """Return the file of a job, and the options with the part that its path names."""
+    path, part = named_part(path, lambda file: _root(file, wishes, [])[0])
+    return path, replace(wishes, part=part or wishes.part)
 
 
 def _root(path: Path, wishes: JobOptions, faults: list[Fault]) -> tuple[Node, str]:
@@ -278,10 +286,6 @@ def _kind(root: Node, path: Path, wanted: str | None) -> str | None:
     if kind is not None and wanted not in (None, kind):
         raise UsageError(f"{path} is a job of the kind {kind}; use: metrocli {kind} {path}")
     return kind
-
-
-def _only(root: Node, keys: Iterable[str]) -> Node:
-    return replace(root, entries=tuple(entry for entry in root.entries if entry[0].text in keys))
 
 
 def _in_order(faults: Iterable[Fault]) -> list[Fault]:

@@ -8,7 +8,8 @@ import re
 from collections.abc import Callable, Collection, Iterator, Mapping
 from typing import Any
 
-from metrocli import units
+from metrocli import tasks, units
+from metrocli.effects.requested import RequestedEffect
 from metrocli.errors import Fault
 from metrocli.expressions.dimensions import converted
 from metrocli.frozen import dataclass
@@ -16,6 +17,7 @@ from metrocli.nodes import Node
 from metrocli.record import FAIL, GUARD_BAND, PASS, CriterionVerdict
 from metrocli.result import Result
 from metrocli.settings import BAD, Schema
+from metrocli.tasks.shared.figures import of_effects
 from metrocli.words import nearest, suggestion
 
 _COMPARISONS: dict[str, Callable[[float, float], bool]] = {
@@ -89,6 +91,11 @@ class Requirement:
                 hint = "write the limit without a unit" if unit in ("", "1") else error.hint
                 raise units.QuantityError(f"{self.name} has the unit '{unit}', not '{self.unit}'", hint) from error
         return units.find_unit(self.unit, dimension).inside(self.limit)
+
+
+def figures_of(kind: str, settings: Any, requests: tuple[RequestedEffect, ...]) -> dict[str, str]:
+    """Return the units of all figures, by name, that the result of a job can have and a requirement can name."""
+    return tasks.KINDS[kind].figures(settings) | of_effects(requests)
 
 
 def by_names(known: Mapping[str, str], names: Mapping[str, Collection[str]]) -> dict[str, str]:

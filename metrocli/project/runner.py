@@ -25,9 +25,9 @@ from metrocli.plan import Plan
 from metrocli.progress import SILENT, Named, Progress
 from metrocli.project import fingerprint
 from metrocli.project.inputs import read_inputs, read_with_files, unfit_inputs
-from metrocli.project.job import JobFile, figures_of
+from metrocli.project.job import JobFile
 from metrocli.project.named_files import absolute
-from metrocli.project.requirements import by_names, decisions
+from metrocli.project.requirements import by_names, decisions, figures_of
 from metrocli.project.running.files import ChunkFolder
 from metrocli.record import CriterionVerdict, Record
 from metrocli.result import Result

@@ -91,7 +91,7 @@ def until_clean(
             names = tuple(name for name, *_ in _parts(gained)) if end is End.INTERRUPTED else ()
             return Loop(first, last, tuple(extensions), end, names)
         number = len(extensions) + 1
-        path = job.file.with_name(f"{job.file.stem}.step{number}.yaml")
+        path = job.file.with_name(f"{job.stem}.step{number}.yaml")
         result = job.output.with_name(f"{job.output.stem}.step{number}.h5")
         simpler = tuple(law for law in last.laws if law.gain.shown) if gained.laws else ()
         extended = write_extended(current, replace(gained, laws=simpler), path, force, result)

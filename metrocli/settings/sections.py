@@ -106,11 +106,21 @@ def read_sections(node: Node, sections: Sequence[type], faults: list[Fault]) -> 
     reasons = {key: why for section in sections for key, why in getattr(section, "ELSEWHERE", {}).items()}
     unknown = [key for key, _ in node.entries if key.text not in known]
     for key in unknown[:MOST_FAULTS]:
-        hint = reasons.get(key.text) or _hint_for_key(key.text, known)
+        hint = reasons.get(key.text) or _below(key.text, sections) or _hint_for_key(key.text, known)
         faults.append(key.fault(f"unknown key '{key.text}'{place}", hint))
     if len(unknown) > MOST_FAULTS:
         faults.append(unknown[MOST_FAULTS].fault(f"and {len(unknown) - MOST_FAULTS} more unknown keys from here on"))
     return [_read_section(node, section, faults) for section in sections]
+
+
+def _below(key: str, sections: Sequence[type]) -> str:
+    """Return where a key belongs that one of the mappings below has, else nothing."""
+    for wanted, _ in (one for section in sections for one in settings_of(section).values()):
+        if isinstance(wanted.spec, Section) and key in (
+            below.key for below, _ in settings_of(wanted.spec.section).values()
+        ):
+            return f"it is a key of '{wanted.key}': {wanted.key}.{key}"
+    return ""
 
 
 def _hint_for_key(key: str, known: Sequence[str]) -> str:

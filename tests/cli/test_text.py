@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from metrocli.cli import columns, terminal
+from metrocli.cli.look.inches import in_inches
 from metrocli.formats import hdf5
 from metrocli.record import CriterionVerdict, Record
 from metrocli.result import SCALE, Estimate, Result, ShownTable
@@ -99,6 +100,13 @@ def test_rows_of_several_units_are_shown_unit_by_unit() -> None:
         ["error", "largest", "[urad]", "largest_std", "[urad]"],
         ["EAX", "50.00", "0.42"],
     ]
+
+
+def test_plain_numbers_have_no_unit_of_their_row() -> None:
+    groups = Table.of({"unit": ["mm"], "rms": [0.5], "redundancy [1]": [25.4]})
+    assert rows(columns.table_text(groups))[0] == ["rms", "[mm]", "redundancy"]
+    inches = in_inches(Result("adjust-network", "", (), np.eye(0), {}, {"groups": groups})).tables["groups"]
+    assert (inches.numbers("redundancy").tolist(), inches.numbers("rms").tolist()) == ([25.4], [0.5 / 25.4])
 
 
 def test_a_given_point_sets_no_digits_and_a_long_table_is_cut() -> None:

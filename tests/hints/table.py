@@ -109,6 +109,15 @@ NAMES = [
         "'mm'",
     ),
     Row(
+        "it is a key of '{}': {}",
+        "board",
+        "calibrate-camera job.yaml",
+        {"job.yaml": more("pixel_size: 6 um")},
+        {"job.yaml": more("pixel_sizes: 6 um")},
+        "unknown key 'pixel_sizes'",
+        "camera.pixel_size",
+    ),
+    Row(
         "is it the column '{}'?",
         "best-fit",
         FIT,

@@ -168,4 +168,25 @@ def test_faults_have_their_place(name: str, project: Path, metrocli: Callable[..
 
 def test_a_single_command_names_what_to_use(project: Path, metrocli: Callable[..., Any]) -> None:
     done = metrocli("straight-line", "jobs/gear.yaml")
-    assert (done.code, "metrocli run PROJECT --only JOB[PART]" in done.err) == (3, True)
+    assert (done.code, "name one part: 'jobs/gear.yaml[PART]', in quotes" in done.err) == (3, True)
+
+
+def test_commands_of_one_job_take_a_part(project: Path, metrocli: Callable[..., Any]) -> None:
+    done = metrocli("straight-line", "jobs/gear.yaml[A2]")
+    assert (done.code, Path("results/A2.h5").is_file(), Path("results/A1.h5").exists()) == (0, True, False), done.err
+    assert metrocli("check", "jobs/gear.yaml[A2]").out == "jobs/gear.yaml[A2]: no faults\n"
+    assert metrocli("run", "--only", "jobs/gear.yaml[A2]").out.startswith("jobs/gear.yaml[A2]: up to date")
+
+
+def test_a_part_that_the_job_does_not_have_is_refused(project: Path, metrocli: Callable[..., Any]) -> None:
+    done = metrocli("straight-line", "jobs/gear.yaml[A7]")
+    assert (done.code, "the job has no part 'A7'\n       allowed: A1, A2, 012" in done.err) == (3, True), done.err
+    done = metrocli("straight-line", "line.yaml[A1]")
+    assert (done.code, "it has no 'for:'" in done.err) == (3, True), done.err
+
+
+def test_the_extended_job_of_a_part_has_its_name(project: Path, metrocli: Callable[..., Any]) -> None:
+    from metrocli.project.job import load
+
+    assert [load(Path(f"jobs/gear.yaml{part}")).stem for part in ("[A1]", "[012]")] == ["gear.A1", "gear.012"]
+    assert load(Path("line.yaml")).stem == "line"

@@ -115,7 +115,8 @@ def _text(comparison: Comparison, shared: list[str]) -> str:
     lines = worst_rows(rows)
     lines.append(f"{len(comparison.compared)} quantities, largest E_n {comparison.max_en:.2f}")
     lines.append(
-        f"all together: chi2 {comparison.chi2:.4g} of {comparison.dof} degrees of freedom, p {comparison.p_value:.3g}"
+        f"estimates and error tables together: chi2 {comparison.chi2:.4g} of {comparison.dof} degrees of freedom, "
+        f"p {comparison.p_value:.3g}"
     )
     independent = "the uncertainties count as independent"
     if comparison.counted_once:

@@ -104,7 +104,7 @@ def scanned_columns(
     assert parameter.grid is not None
     grid = np.sort(parameter.grid(conditions_of(model)))
     seen, sketches = sketch_vectors(system), dict[float, list[Array]]()
-    # the values of the user are only where it begins: a wave between two of them would be missed
+    # the listed values are starting points of the scan: a wave between two of them would be missed
     # (docs/decisions/130-dense-scans.md)
     wanted, left = start, most_tried(effect, system.rows) - len(start)
     while wanted:

@@ -129,8 +129,8 @@ def _rows(solved: AdjustedNetwork, group: Group, residuals: Residuals, names: Se
         "reading": observations.readings,
         "residual": residuals.values,
         "sigma": observations.deviations,
-        "normalised": residuals.normalised,
-        "redundancy": residuals.redundancy,
+        "normalised [1]": residuals.normalised,
+        "redundancy [1]": residuals.redundancy,
         "detectable": minimal_detectable(residuals, solved.critical, noise),
     }
     numbers["moves_point [mm]"] = _moves(solved, group, numbers["detectable"])
@@ -175,7 +175,15 @@ def _groups(solved: AdjustedNetwork) -> Table:
             name = group.name if instrument is None else names[number]
             rows.setdefault((name, *what), []).append(tuple(values[here] for values in whole))
     return Table.of_rows(
-        ("instrument [text]", "quantity [text]", "unit [text]", "readings", "rms", "redundancy", "variance_factor"),
+        (
+            "instrument [text]",
+            "quantity [text]",
+            "unit [text]",
+            "readings",
+            "rms",
+            "redundancy [1]",
+            "variance_factor [1]",
+        ),
         [(*key, *_figures(parts)) for key, parts in rows.items()],
     )
 

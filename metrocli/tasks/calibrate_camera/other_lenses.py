@@ -25,7 +25,7 @@ from metrocli.words import in_a_row
 _BETTER = 0.5
 """Share of the rms below which the other model is named"""
 _FEWEST = 0.5
-"""Smallest reach of the readings in units of the focal length: of a narrow view both models describe the lens"""
+"""Smallest radius of the readings in focal lengths: within a narrow view both models describe the lens"""
 _WHOLE = ("fx", "fy", "cx", "cy", "k1", "k2", "k3", "p1", "p2")
 """What a pinhole estimates before a fisheye is compared with it"""
 _FITS = 1.1

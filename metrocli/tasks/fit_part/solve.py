@@ -68,7 +68,7 @@ class FittedPart:
     aim: PoseCriterion
     fit: PoseFit
     minimum: float
-    """Least overstock that the job asks for [mm]; the aim `most` holds a larger one"""
+    """Least overstock that the job asks for [mm]; with the aim `most` the fit keeps a larger one"""
     largest: float
     """Largest possible least overstock [mm], inf without limit"""
     sensitivity: Sensitivity

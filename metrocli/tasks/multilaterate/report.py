@@ -237,7 +237,7 @@ def _warnings(solved: AdjustedTracers) -> list[str]:
         if suspect.tracer
     ]
     ambiguous = [suspect for suspect in solved.suspects if not suspect.tracer]
-    alike = [f"{suspect.point} (w = {suspect.test:.1f}: {' or '.join(suspect.others)})" for suspect in ambiguous]
+    points = [f"{suspect.point} (w = {suspect.test:.1f}: {' or '.join(suspect.others)})" for suspect in ambiguous]
     bound = f"the outlier bound |w| = {solved.critical:.2f}"
     if solved.solution.sigma0 > 1:
         bound += " (w divided by sigma0, the largest by sigma0 without that length)"
@@ -245,10 +245,10 @@ def _warnings(solved: AdjustedTracers) -> list[str]:
         lines.append(
             f"{len(suspected)} lengths exceed {bound}: {listed(suspected, 5)}; `outliers: remove` leaves them out"
         )
-    if alike:
+    if points:
         lines.append(
-            f"points with a wrong length beyond {bound}: {listed(alike, 5)}; it cannot be identified, "
-            "since |w| are alike at the point (with four lengths all are equal); one more tracer would identify it"
+            f"points with a wrong length beyond {bound}: {listed(points, 5)}; it cannot be identified, "
+            "since the tests w of the point are equal (always so with four lengths); one more tracer would identify it"
         )
     gone = _lost(solved)
     if gone:

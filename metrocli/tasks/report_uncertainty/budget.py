@@ -47,8 +47,8 @@ class MeasurandBudget:
 
 
 _HEADINGS = (
-    "measurand [text]", "contributor [text]", "value", "std", "unit [text]", "distribution [text]", "sensitivity",
-    "contribution", "share [percent]", "dof",
+    "measurand [text]", "contributor [text]", "value", "std", "unit [text]", "distribution [text]", "sensitivity [1]",
+    "contribution [1]", "share [percent]", "dof [1]",
 )  # fmt: skip
 _REVERSE = ("measurand [text]", "contributor [text]", "std", "needed_std", "unit [text]", "target [text]")
 

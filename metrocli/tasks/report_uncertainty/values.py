@@ -56,7 +56,7 @@ def unvalidated(name: str, result: Result, estimate: str) -> list[str]:
 
 
 def _between(a: str, first: Result, b: str, second: Result) -> list[str]:
-    # by content too: a comment that was added between the two results leaves the readings what they are
+    # compared by content, since a comment that was added between the two results changes no reading
     files = {key: item.path for item in first.made_from for key in (item.sha256, item.content) if key}
     common = [files[key] for item in second.made_from for key in (item.sha256, item.content) if key in files]
     lines = []

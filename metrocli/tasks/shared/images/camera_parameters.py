@@ -64,7 +64,7 @@ class Parameters:
         neutral = np.isin(self.names, (*DISTORTION, "skew", "aspect"))
         p_values = np.where(neutral, by_chance, np.nan)
         columns = {"parameter [text]": self.names, "value": self.values, "std": self.std, "U": 2 * self.std}
-        return Table.of({**columns, "unit [text]": self.units, "p_value": p_values})
+        return Table.of({**columns, "unit [text]": self.units, "p_value [1]": p_values})
 
     def high_correlations(self) -> Table:
         """Return the pairs of parameters whose correlation exceeds HIGH_CORRELATION in magnitude."""
