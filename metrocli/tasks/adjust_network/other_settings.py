@@ -19,7 +19,7 @@ from metrocli.table import Table
 from metrocli.tasks.adjust_network.readings import NetworkReadings, read
 from metrocli.tasks.adjust_network.settings import Files, Settings
 from metrocli.tasks.adjust_network.starts.agreement import NetworkStart, disagreement, list_offset, medians, placed
-from metrocli.tasks.adjust_network.starts.handedness import mirrored_groups
+from metrocli.tasks.adjust_network.starts.conventions import other_conventions
 from metrocli.tasks.adjust_network.starts.search import start
 from metrocli.tasks.job import Job
 from metrocli.words import in_a_row, listed
@@ -57,7 +57,7 @@ def other_settings(job: Job[Settings, Files], fits: bool) -> Iterator[_Other]:
         yield from _angles(job)
         return
     yield from _faces(job, readings)
-    yield from _mirrored(job, readings)
+    yield from _conventions(job, readings)
     rough = _started(readings)
     if rough is not None:
         yield from _exchanged(job, readings, rough)
@@ -192,20 +192,20 @@ def _faces(job: Job[Settings, Files], readings: NetworkReadings) -> Iterator[_Ot
     yield _with(job, mistake, {azimuth: values, "face": face})
 
 
-def _mirrored(job: Job[Settings, Files], readings: NetworkReadings) -> Iterator[_Other]:
-    """Yield stations whose azimuths count the other way than those of others, or their elevations, if not levelled."""
-    table = job.files.sightings
-    for group in mirrored_groups(readings):
-        names = [readings.stations.names[station] for station in group]
+def _conventions(job: Job[Settings, Files], readings: NetworkReadings) -> Iterator[_Other]:
+    """Yield stations whose angles or distances are of another sort than those of the others."""
+    table, columns = job.files.sightings, (("az", "hz"), ("el", "zd"), ("d",))
+    for stations, convention in other_conventions(readings, "zd" in table):
+        names = [readings.stations.names[station] for station in stations]
         here = np.isin(table.texts("station"), names)
-        level = all(readings.of(station).is_levelled for station in group)
-        for column in (name for name in ("az", "hz", *(() if level else ("el",))) if name in table):
-            way = "has the wrong sign" if column == "el" else "counts the other way"
-            what = f"{column} of {in_a_row(names)}"
-            mistake = Mistake(
-                "readings", f"{what} {way}", f"{what} with the other sign", file=table.file, sort="handed", columns=0
-            )
-            yield _with(job, mistake, {column: np.where(here, -1.0, 1.0) * table.numbers(column)})
+        column = next(name for name in columns[convention.component] if name in table)
+        values = convention.read(table.numbers(column))
+        what = f"{column} of {in_a_row(names)}"
+        mistake = Mistake(
+            "readings", f"{what} {convention.words}", f"{what} {convention.write}",
+            file=table.file, sort="conventions", columns=0,
+        )  # fmt: skip
+        yield _with(job, mistake, {column: np.where(here, values, table.numbers(column))})
 
 
 def _stations(job: Job[Settings, Files], readings: NetworkReadings) -> Iterator[_Other]:

@@ -164,6 +164,38 @@ def test_stations_that_see_the_points_mirrored_are_proposed(
     assert {words for words in found if " of S" in words} == expected
 
 
+ONE_SORT = {
+    "az is in gon": ("az_deg,el_rad,d_mm", 0, lambda v: v / 0.9, "az of S3 is in gon"),
+    "el is in gon": ("az_rad,el_deg,d_mm", 1, lambda v: v / 0.9, "el of S3 is in gon"),
+    "zenith distances": ("az_rad,el_rad,d_mm", 1, lambda v: np.pi / 2 - v, "el of S3 is a zenith distance"),
+    "elevations": ("az_rad,zd_rad,d_mm", 1, lambda v: np.pi / 2 - v, "zd of S3 is an elevation"),
+    "zd is in gon": ("az_rad,zd_deg,d_mm", 1, lambda v: v / 0.9, "zd of S3 is in gon"),
+    "metres": ("az_rad,el_rad,d_mm", 2, lambda v: v / 1000, "d of S3 is in m"),
+    "inches": ("az_rad,el_rad,d_mm", 2, lambda v: v / 25.4, "d of S3 is in inches"),
+}
+
+
+@pytest.mark.parametrize("sort", ONE_SORT)
+def test_a_station_with_readings_of_another_sort_is_proposed(sort: str, tmp_path: Path) -> None:
+    header, column, other, words = ONE_SORT[sort]
+    net = network(np.random.default_rng(65), 4, 14)
+    right = net.seen.copy()
+    for at, name in enumerate(header.split(",")):
+        right[:, at] = np.pi / 2 - right[:, at] if name.startswith("zd") else right[:, at]
+        right[:, at] = np.degrees(right[:, at]) if name.endswith("_deg") else right[:, at]
+    seen, here = right.copy(), net.station == 2
+    seen[here, column] = other(seen[here, column])
+    found = [
+        (mistake.words, job.files.sightings)
+        for mistake, job in other_settings(content(load(replace(net, seen=seen).write(tmp_path, header=header))), False)
+        if " of S" in mistake.words
+    ]
+    assert [one for one, _ in found] == [words]
+    heading = header.split(",")[column]
+    read = found[0][1].numbers(heading.partition("_")[0])
+    assert (np.degrees(read) if heading.endswith("_deg") else read) == pytest.approx(right[:, column], rel=1e-9)
+
+
 def test_a_levelled_station_has_no_elevations_of_the_wrong_sign(tmp_path: Path) -> None:
     net = network(np.random.default_rng(62), 3, 14, levelled=True)
     found = proposed(flipped(net, [1], 0), tmp_path)
