@@ -81,6 +81,8 @@ class Task(Generic[S, F]):
     """Returns the model of a job at its starting values; for kinds with other settings"""
     other_settings: Callable[[Job[S, F], bool], Iterable[tuple[Mistake, Job[S, F]]]] | None = None
     """What may be wrong in the settings, each with the job that is right then; takes whether the readings fit"""
+    unplaced: tuple[str, ...] = ()
+    """Inputs whose list has a frame of its own: turned as a whole, it fits the readings as before"""
 
     def job(self, settings: S, *contents: Any, effects: Sequence[RequestedEffect] = (), **named: Any) -> Job[S, F]:
         """Return a job from settings and the contents of its files, given in the order of `files` or by name."""

@@ -9,6 +9,7 @@ import numpy as np
 
 from metrocli.adjust.clusters.robust import FROM_RESIDUALS, STRUCTURED, must_suffice
 from metrocli.adjust.outcome import Outcome
+from metrocli.adjust.robust import typical
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.errors import InputError, NotConvergedError, UndeterminedError, all_faults
 from metrocli.geometry.poses import EULER, pose_from_euler
@@ -25,7 +26,7 @@ from metrocli.tasks.align_part.report import delivered, explained, predicted, re
 from metrocli.tasks.align_part.settings import Files, Settings
 from metrocli.tasks.align_part.spindle_poses import SpindlePoses
 from metrocli.tasks.job import Job, Task
-from metrocli.tasks.shared.images.adjustment import AdjustedImages, Options, adjust_images, must_converge
+from metrocli.tasks.shared.images.adjustment import AdjustedImages, Options, adjust_images, must_converge, must_fit
 from metrocli.tasks.shared.images.places import not_sought
 from metrocli.tasks.shared.images.settings import ESTIMATE
 from metrocli.tasks.shared.images.sightings import Needs, sightings
@@ -123,6 +124,8 @@ def solved(settings: Settings, problem: AlignmentProblem) -> AdjustedImages:
 
 def _adjusted(problem: AlignmentProblem, options: Options) -> AdjustedImages:
     adjusted = adjust_images(problem.blocks, problem.images, problem.others, problem.datum, options)
+    if adjusted.solution.outcome is Outcome.ITERATION_LIMIT:
+        must_fit(typical(adjusted.group, adjusted.solution.blocks), options.image_size)
     if adjusted.solution.outcome is not Outcome.TOO_FEW:  # that is explained with what is not determined
         must_converge(adjusted.solution)
     return adjusted
