@@ -111,8 +111,9 @@ def misread(
 ) -> InputError | None:
     """Return the refusal of a file that fits a thousand times better if it is read in another way, or None.
 
-    `failure` is the error with which the job ended, if it did; `unplaced` as for `corrections`. Nothing is tried for errors that name a line or what to
-    write, since they are explanations, and for readings that fit or are too few: no heading causes that.
+    `failure` is the error with which the job ended, if it did; `unplaced` as for `corrections`. Nothing is tried for
+    errors that name a line or what to write, since they are explanations, and for readings that fit or are too few: no
+    heading causes that.
     """
     tables = [table for table in inputs.values() if isinstance(table, Table)]
     # an error that names a line or what to write explains itself

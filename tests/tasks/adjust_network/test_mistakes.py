@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,6 +12,9 @@ import numpy as np
 import pytest
 from simulated.network import Network, network, polar
 
+from metrocli.diagnosis.adjusted_job import AdjustedJob, Misfit
+from metrocli.diagnosis.corrections import Mistake
+from metrocli.diagnosis.trials import Trial, adjusted_trials
 from metrocli.project.job import load
 from metrocli.project.runner import content
 from metrocli.tasks.adjust_network.other_settings import other_settings
@@ -132,7 +135,26 @@ def test_no_other_reading_of_the_files_is_tried_for_motions_that_the_job_leaves_
     def tried(*_: object) -> None:
         raise AssertionError("a correction is tried")
 
-    monkeypatch.setattr("metrocli.diagnosis.mistakes._tried", tried)
+    monkeypatch.setattr("metrocli.diagnosis.mistakes.adjusted_trials", tried)
     job = network(np.random.default_rng(60), 4, 15).write(tmp_path, more="datum_points: [P001, P002]\n")
     ran = metrocli("adjust-network", job)
     assert ran.code == 4 and "`datum_points` leave open" in ran.err, ran.err
+
+
+def test_where_set_ups_differ_in_shape_only_their_readings_are_tried(
+    tmp_path: Path, metrocli: Metrocli, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Names of points without order: no list of stations or points makes the distances between them agree."""
+    tried = []
+
+    def noted(trials: Iterable[Trial]) -> Iterator[tuple[Mistake, Misfit, AdjustedJob]]:
+        every = list(trials)
+        tried.extend(mistake.input for mistake, _ in every)
+        return adjusted_trials(every[:0])
+
+    monkeypatch.setattr("metrocli.diagnosis.mistakes.adjusted_trials", noted)
+    rng = np.random.default_rng(61)
+    net = network(rng, 3, 12)
+    ran = metrocli("adjust-network", replace(net, point=rng.permutation(net.point)).write(tmp_path))
+    assert ran.code == 5 and "set-ups contradict each other" in ran.err, ran.err
+    assert set(tried) == {"readings"}

@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 
 from benchmarks.coverage import PART, TRUE_MOUNTING, Array, alignment_settings, corners, poses_over, true_camera
+from metrocli.adjust.adjustment import adjust
+from metrocli.adjust.solution import Solution
 from metrocli.errors import InputError, MetrocliError
 from metrocli.instruments.spindle_camera import Rays, start_pose
 from metrocli.simulation import SimulationOptions
@@ -48,6 +50,23 @@ def test_no_exchange_is_offered_where_none_mends_the_poses() -> None:
     with pytest.raises(MetrocliError) as failed:
         aligned(poses, order(poses, rows), 32)
     assert "are exchanged: read so" not in str(failed.value)
+
+
+def test_poses_that_fit_nothing_end_after_few_steps(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An adjustment whose readings are lost at its start and forty steps later would wander on for hundreds."""
+    steps = []
+
+    def counted(*args: Any) -> Solution:
+        solution = adjust(*args)
+        steps.append(solution.iterations)
+        return solution
+
+    monkeypatch.setattr("metrocli.tasks.shared.images.adjustment.adjust", counted)
+    poses, rng = poses_over(corners()), np.random.default_rng(35)
+    anywhere = {axis: rng.uniform(0, 1500, len(poses)) for axis in "xyz"}
+    with pytest.raises(MetrocliError):
+        aligned(poses, Table({**poses.columns, **anywhere}, poses.units), 35)
+    assert steps and max(steps) <= 40
 
 
 def test_right_poses_are_aligned() -> None:
