@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
@@ -63,9 +64,12 @@ def test_poses_that_fit_nothing_end_after_few_steps(monkeypatch: pytest.MonkeyPa
 
     monkeypatch.setattr("metrocli.tasks.shared.images.adjustment.adjust", counted)
     poses, rng = poses_over(corners()), np.random.default_rng(35)
-    anywhere = {axis: rng.uniform(0, 1500, len(poses)) for axis in "xyz"}
+    targets, settings = corners(), alignment_settings(0.05, 2e-3)
+    seen = align_part.simulate(align_part.TASK.job(settings, true_camera(), poses, targets), SimulationOptions(35))
+    table = seen.files["observations.csv"]
+    anywhere = replace(table, columns={**table.columns, "u": rng.uniform(0, 2591, len(table))})
     with pytest.raises(MetrocliError):
-        aligned(poses, Table({**poses.columns, **anywhere}, poses.units), 35)
+        align_part.run(align_part.TASK.job(settings, true_camera(), poses, targets, observations=anywhere))
     assert steps and max(steps) <= 40
 
 

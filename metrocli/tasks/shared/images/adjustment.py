@@ -187,14 +187,14 @@ def _without_lost_views(blocks: Mapping[str, Block], group: Group) -> Mapping[st
     return blocks if left.all() else {**blocks, "view": replace(view, free=view.free & left[:, None])}
 
 
-def _is_lost(middle: float, image_size: tuple[int, int]) -> bool:
+def is_lost(middle: float, image_size: tuple[int, int]) -> bool:
     """Return whether a median residual [px] is far too large for an image, if its size is known."""
     return image_size[0] > 0 and bool(np.isfinite(middle)) and middle > _LOST * max(image_size)
 
 
 def must_fit(middle: float, image_size: tuple[int, int]) -> None:
     """Raise InputError if the median residual [px] is far too large: a mistake in the files, not noise."""
-    if _is_lost(middle, image_size):
+    if is_lost(middle, image_size):
         raise InputError(
             f"the readings fit no pose. Half of them are off by more than {middle:.0f} px. Check the names of the "
             "targets, the units (mm or m, rad or deg), exchanged or mirrored axes, the camera file and the poses. If "
@@ -208,11 +208,11 @@ def _solved(using: _KeptImagePoints, others: Sequence[Group], datum: Datum | Non
     def solve(here: tuple[Group, Mapping[str, Block]]) -> _Solved:
         group, state = here
         rule, groups = StoppingRule(tolerance=using.within.step), [group, *others]
-        if _is_lost(typical(group, state), options.image_size):
+        if is_lost(typical(group, state), options.image_size):
             # readings that fit nothing would wander for a thousand steps
             solution = adjust(state.values(), groups, datum, replace(rule, limit=_LOST_STEPS))
             state = solution.blocks
-            if solution.outcome.good or _is_lost(typical(group, state), options.image_size):
+            if solution.outcome.good or is_lost(typical(group, state), options.image_size):
                 return _Solved(solution, group, residuals_of(solution, group) if solution.outcome.good else None)
         solution = adjust(state.values(), groups, datum, rule)
         return _Solved(solution, group, residuals_of(solution, group) if solution.outcome.good else None)
