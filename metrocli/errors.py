@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import asdict
 from typing import Any
@@ -96,13 +96,14 @@ def all_faults() -> Iterator[Callable[[], AbstractContextManager[None]]]:
 class NoSolutionError(MetrocliError):
     """The adjustment of a job has no solution that can be used."""
 
-    def __init__(self, message: str, misfit: float = float("inf")) -> None:
+    def __init__(self, message: str, misfit: float = float("inf"), inputs: Collection[str] = ()) -> None:
         """Take the message, and the root mean square residual in declared standard deviations.
 
         It is inf if no values predict the readings, and 0 if there are too few readings, since those fit anything.
+        `inputs` are those that fail whatever the others contain, empty if that is not known.
         """
         super().__init__(message)
-        self.misfit = misfit
+        self.misfit, self.inputs = misfit, frozenset(inputs)
 
 
 class UndeterminedError(NoSolutionError):

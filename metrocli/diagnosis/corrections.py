@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import field, replace
 from itertools import combinations, permutations
 from typing import TYPE_CHECKING
@@ -36,6 +36,8 @@ class Mistake:
     """`units`, `handed`, or what is wrong: mistakes of one sort can be indistinguishable, also in two files"""
     columns: int = 1
     """Number of columns that its correction changes"""
+    alike: str = ""
+    """Corrections with the same name here lead to the same fit, so that one in vain is all; empty: others differ"""
     steps: int = 24
     """Steps that its try may take, starts included; a job that is read rightly takes 12 to 15"""
     entries: Mapping[str, str | Sequence[str]] = field(default_factory=dict, compare=False)
@@ -45,15 +47,24 @@ class Mistake:
         return f"{self.input}: {self.words}"
 
 
-def corrections(inputs: Inputs) -> Iterator[tuple[Mistake, Inputs]]:
-    """Yield each possible mistake in the files, with the corrected inputs."""
-    for key, table in inputs.items():
-        if isinstance(table, Table):
-            for words, write, factor, changed in _of_table(table):
-                sort = "units" if abs(factor) != 1.0 else "handed" if words in _HANDED else words
-                columns = sum(changed.columns[name] is not table.columns[name] for name in table if not _known(name))
-                mistake = Mistake(key, words, write, min(abs(factor), 1.0), table.file, sort, columns)
-                yield mistake, {**inputs, key: changed}
+def corrections(inputs: Inputs, unplaced: Collection[str] = ()) -> Iterator[tuple[Mistake, Inputs]]:
+    """Yield each possible mistake in the files, with the corrected inputs: axes of lists last, as the most.
+
+    Lists that are `unplaced` have a frame of their own: turned as a whole they fit as before, so that turns are left
+    out, and all that mirrors them fits alike.
+    """
+    tables = [(key, table) for key, table in inputs.items() if isinstance(table, Table)]
+    # two passes and no sorted list: tables of millions of rows are changed one at a time
+    for axes, (key, table) in itertools.product((False, True), tables):
+        for words, write, factor, changed in _of_table(table):
+            sort = "units" if abs(factor) != 1.0 else "handed" if words in _HANDED else words
+            turns = words.startswith(_TURNS)
+            if (sort == "handed" or turns) != axes or (turns and key in unplaced):
+                continue
+            columns = sum(changed.columns[name] is not table.columns[name] for name in table if not _known(name))
+            alike = key if key in unplaced and sort == "handed" else ""
+            mistake = Mistake(key, words, write, min(abs(factor), 1.0), table.file, sort, columns, alike)
+            yield mistake, {**inputs, key: changed}
 
 
 _TURNING = ("a", "b", "c")
@@ -206,3 +217,5 @@ def _ordered(table: Table, names: Sequence[str], order: Sequence[str]) -> Table:
 
 _HANDED = {words for words, _ in (*itertools.starmap(_swap, combinations(_AXES, 2)), *map(_sign, _AXES))}
 """What turns a right-handed list into a left-handed one: where the frame of the list is unknown, all fit alike"""
+_TURNS = ("turned by", "x, y, z are in the order")
+"""How the words begin for what turns a list as a whole"""

@@ -7,7 +7,7 @@ anything that an effect causes (decision 019); other settings also where no decl
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from functools import partial
 from typing import TypeVar
 
@@ -36,7 +36,9 @@ ELSEWHERE = Mistake(
 )
 
 
-def without_mistakes(inputs: Inputs, adjust: Adjust, others: Others = no_others) -> tuple[AdjustedJob, Mistaken | None]:
+def without_mistakes(
+    inputs: Inputs, adjust: Adjust, others: Others = no_others, unplaced: Collection[str] = ()
+) -> tuple[AdjustedJob, Mistaken | None]:
     """Return the adjusted job, and the mistake without which it was adjusted, if there is one.
 
     Corrections are tried if the job fails or is absurd. If none explains that, the exception of the job as it is is
@@ -56,7 +58,7 @@ def without_mistakes(inputs: Inputs, adjust: Adjust, others: Others = no_others)
         return (job, None) if better is None else (better.job, better)
     tried = [
         (misfit.worst, mistake, other)
-        for mistake, misfit, other in adjusted_trials(_readings_of(inputs, adjust, others))
+        for mistake, misfit, other in adjusted_trials(_readings_of(inputs, adjust, others, unplaced, failure))
         if misfit.worst <= 1
         and misfit.worst * BETTER <= before * mistake.shrinks
         and not misfits.spoilt_alike(misfit, mistake.shrinks)
@@ -80,12 +82,19 @@ def misfit_ratio(job: AdjustedJob) -> float:
     return misfit_of(job).worst
 
 
-def _readings_of(inputs: Inputs, adjust: Adjust, others: Others) -> Iterator[tuple[Mistake, Callable[[], AdjustedJob]]]:
-    """Yield each possible mistake, with what adjusts the job without it: first those that the kind of job knows."""
+def _readings_of(
+    inputs: Inputs, adjust: Adjust, others: Others, unplaced: Collection[str], failure: Exception | None
+) -> Iterator[tuple[Mistake, Callable[[], AdjustedJob]]]:
+    """Yield each possible mistake, with what adjusts the job without it: first those that the kind of job knows.
+
+    Where the failure names inputs that fail whatever the others contain, no correction of these others is tried.
+    """
     # settings first: one that leaves only noise settles what else is tried
     yield from others(np.inf)
-    for mistake, changed in corrections(inputs):
-        yield mistake, partial(adjust, changed)
+    failing = failure.inputs if isinstance(failure, NoSolutionError) else ()
+    for mistake, changed in corrections(inputs, unplaced):
+        if not failing or mistake.input in failing:
+            yield mistake, partial(adjust, changed)
 
 
 def suspicious(sigma0: float, list_offset: float) -> bool:
@@ -94,12 +103,17 @@ def suspicious(sigma0: float, list_offset: float) -> bool:
 
 
 def misread(
-    inputs: Inputs, adjust: Adjust, failure: MetrocliError | None = None, others: Others = no_others
+    inputs: Inputs,
+    adjust: Adjust,
+    failure: MetrocliError | None = None,
+    others: Others = no_others,
+    unplaced: Collection[str] = (),
 ) -> InputError | None:
     """Return the refusal of a file that fits a thousand times better if it is read in another way, or None.
 
-    `failure` is the error with which the job ended, if it did. Nothing is tried for errors that name a line or what to
-    write, since they are explanations, and for readings that fit or are too few: no heading causes that.
+    `failure` is the error with which the job ended, if it did; `unplaced` as for `corrections`. Nothing is tried for
+    errors that name a line or what to write, since they are explanations, and for readings that fit or are too few: no
+    heading causes that.
     """
     tables = [table for table in inputs.values() if isinstance(table, Table)]
     # an error that names a line or what to write explains itself
@@ -112,7 +126,7 @@ def misread(
             return None
     misfits = [
         (misfit.worst, mistake, misfit)
-        for mistake, misfit, job in adjusted_trials(_readings_of(inputs, adjust, others))
+        for mistake, misfit, job in adjusted_trials(_readings_of(inputs, adjust, others, unplaced, failure))
         if _explains(misfit, job)
     ]
     if before is not None:

@@ -54,11 +54,11 @@ def adjusted_trials(trials: Iterable[Trial]) -> Iterator[tuple[Mistake, Misfit, 
 
     After one that leaves no more than noise, only the same sort of correction is tried, also of the other files.
     Distances do not distinguish a mirrored list of points from a mirrored list of tracers, nor which axis is mirrored.
-    Each trial is an adjustment.
+    Of corrections that are alike one is tried, if it is in vain. Each trial is an adjustment.
     """
-    settled = ""
+    settled, vain = "", set[str]()
     for mistake, adjusted in trials:
-        if settled not in ("", mistake.sort):
+        if settled not in ("", mistake.sort) or mistake.alike in vain:
             continue
         try:
             # readings in a wrong unit wander: without a limit, each of some dozen
@@ -66,8 +66,11 @@ def adjusted_trials(trials: Iterable[Trial]) -> Iterator[tuple[Mistake, Misfit, 
             with allowance(mistake.steps):
                 job = adjusted()
         except FAILURES:
+            vain |= {mistake.alike} - {""}
             continue
         misfit = misfit_of(job)
+        if misfit.worst > 1:
+            vain |= {mistake.alike} - {""}
         # the first sort that leaves only noise stays: further ones of it are as good, and are reported with it
         settled = settled or (mistake.sort if misfit.worst <= _AS_NOISE else "")
         yield mistake, misfit, job

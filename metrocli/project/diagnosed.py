@@ -88,7 +88,9 @@ def carry_out(
     progress = Named(job.file, progress)
     progress.doing("adjusting")
     held = counting(read_inputs(job), progress)
-    adjusted, mistaken = without_mistakes(held, adjust, _others(job, held, adjust))
+    adjusted, mistaken = without_mistakes(
+        held, adjust, _others(job, held, adjust), tasks.KINDS[job.kind].task().unplaced
+    )
     answer = None if first is None else diagnose(adjusted, progress, limit, attended, ordered, quick=True)
     if first is not None and answer is not None:
         first(answer)

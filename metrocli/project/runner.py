@@ -151,6 +151,7 @@ def _sound(file: JobFile, job: Job[Any, Any], progress: Progress) -> Result:
         lambda inputs: adjusted(replace(job, files=task.files(**inputs))),
         failure,
         partial(task.others, job),
+        task.unplaced,
     )
     if refusal is not None:
         raise refusal from failure

@@ -71,8 +71,13 @@ def other_layout(pattern: Pattern, picture: Picture, dictionary: str) -> str:
     named = "" if own else f"dictionary: {dictionary}"
     same = pattern if own else replace(pattern, dictionary=dictionary)
     best, count = "", FEWEST - 1
+    # the markers are the same for each layout, and their search takes thirty times as long as the rest
+    corners, numbers, _ = cv2.aruco.ArucoDetector(_dictionary(same.dictionary)).detectMarkers(seen)
+    if numbers is None:
+        return ""
     for other, write in ((same, ""), *_layouts(same)):
-        ids = cv2.aruco.CharucoDetector(_board(other)).detectBoard(seen)[1]
+        detector = cv2.aruco.CharucoDetector(_board(other))
+        ids = detector.detectBoard(seen, markerCorners=corners, markerIds=numbers)[1]
         if ids is not None and len(ids) > count and (named or write):
             best, count = ", ".join(filter(None, (named, write))), len(ids)
     return f"a ChArUco board: with `{best}` there are {count} corners" if best else ""

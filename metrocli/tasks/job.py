@@ -84,6 +84,8 @@ class Task(Generic[S, F]):
     """What may be wrong in the settings, each with the job that is right then; takes whether the readings fit"""
     fits_up_to: float = 2.0
     """Largest sigma0 of readings that fit: where each trial of a setting is short, the least that another can halve"""
+    unplaced: tuple[str, ...] = ()
+    """Inputs whose list has a frame of its own: turned as a whole, it fits the readings as before"""
 
     def job(self, settings: S, *contents: Any, effects: Sequence[RequestedEffect] = (), **named: Any) -> Job[S, F]:
         """Return a job from settings and the contents of its files, given in the order of `files` or by name."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +14,11 @@ import pytest
 from places import SAMPLES
 
 from benchmarks.hidden import lengths
-from metrocli.diagnosis.corrections import corrections
+from metrocli.diagnosis.adjusted_job import AdjustedJob
+from metrocli.diagnosis.corrections import Mistake, corrections
 from metrocli.diagnosis.mistakes import misfit_ratio, without_mistakes
+from metrocli.diagnosis.trials import adjusted_trials
+from metrocli.errors import NotConvergedError
 from metrocli.table import Table
 from metrocli.tasks.multilaterate import task as multilaterate
 from metrocli.tasks.multilaterate.settings import Inputs, Settings
@@ -83,6 +87,28 @@ def test_places_in_another_unit_keep_or_tighten_what_is_known_of_them(symbol: st
     assert isinstance(changed, Table)
     assert changed.stacked("xyz") == pytest.approx(table.stacked("xyz") * times)
     assert changed.numbers("sigma") == pytest.approx(table.numbers("sigma") * min(times, 1.0))
+
+
+def test_axes_of_lists_are_tried_last() -> None:
+    inputs = {**files(), "lengths": Table({"length": np.ones(4), "az": np.ones(4)}, {"length": "mm", "az": "rad"})}
+    order = [(mistake.sort, mistake.input) for mistake, _ in corrections(inputs)]
+    assert {of for sort, of in order[: sum(sort == "units" for sort, _ in order)]} == set(inputs)
+    assert order[-1][1] == "tracers" and order[-1][0].startswith("turned")
+
+
+def test_a_list_with_a_frame_of_its_own_is_mirrored_once_and_never_turned() -> None:
+    """Each correction in vain: eleven turns and five of six mirrorings of the points lead to the same fit."""
+    found = list(corrections(files(), ("points",)))
+    assert not [one for one, _ in found if one.input == "points" and one.sort.startswith(("turned", "x, y, z"))]
+    tried = []
+
+    def in_vain(mistake: Mistake) -> AdjustedJob:
+        tried.append(mistake)
+        raise NotConvergedError("in vain")
+
+    assert not list(adjusted_trials((mistake, partial(in_vain, mistake)) for mistake, _ in found))
+    mirrored = [mistake.input for mistake in tried if mistake.sort == "handed"]
+    assert mirrored == ["points", *["tracers"] * 6]
 
 
 def test_a_job_without_mistakes_is_left_alone() -> None:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import cv2
 import numpy as np
 import pytest
 
 from metrocli.targets.aprilgrid import artwork
-from metrocli.targets.charuco import _board
+from metrocli.targets.charuco import _board, other_layout
 from metrocli.targets.find import find
 from metrocli.targets.likely_board import likely_board
 from metrocli.targets.pattern import Pattern
@@ -38,6 +39,24 @@ def test_what_to_write(changed: dict[str, object], write: str) -> None:
     other = replace(BOARD, **changed)  # type: ignore[arg-type]
     assert not len(find(other, picture(BOARD)))
     assert likely_board(other, [picture(BOARD)]) == f"a ChArUco board: with `{write}` there are 35 corners"
+
+
+def test_markers_are_sought_once_for_all_layouts(monkeypatch: pytest.MonkeyPatch) -> None:
+    sought = []
+
+    whole = cv2.aruco.CharucoDetector
+
+    class Counted:
+        def __init__(self, board: Any) -> None:
+            self.whole = whole(board)
+
+        def detectBoard(self, *args: Any, **named: Any) -> Any:
+            sought.append("markerCorners" in named)
+            return self.whole.detectBoard(*args, **named)
+
+    monkeypatch.setattr(cv2.aruco, "CharucoDetector", Counted)
+    assert "columns: 7, rows: 5" in other_layout(replace(BOARD, columns=5, rows=7), picture(BOARD), "4x4_250")
+    assert len(sought) > 30 and all(sought)
 
 
 def test_an_image_without_markers_is_not_a_matter_of_layout() -> None:

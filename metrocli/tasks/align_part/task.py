@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 
 from metrocli.adjust.clusters.robust import FROM_RESIDUALS, STRUCTURED, must_suffice
+from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.outcome import Outcome
+from metrocli.adjust.robust import robust_start, typical
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.errors import InputError, NotConvergedError, UndeterminedError, all_faults
 from metrocli.geometry.poses import EULER, pose_from_euler
@@ -25,7 +28,14 @@ from metrocli.tasks.align_part.report import delivered, explained, predicted, re
 from metrocli.tasks.align_part.settings import Files, Settings
 from metrocli.tasks.align_part.spindle_poses import SpindlePoses
 from metrocli.tasks.job import Job, Task
-from metrocli.tasks.shared.images.adjustment import AdjustedImages, Options, adjust_images, must_converge
+from metrocli.tasks.shared.images.adjustment import (
+    AdjustedImages,
+    Options,
+    adjust_images,
+    is_lost,
+    must_converge,
+    must_fit,
+)
 from metrocli.tasks.shared.images.places import not_sought
 from metrocli.tasks.shared.images.settings import ESTIMATE
 from metrocli.tasks.shared.images.sightings import Needs, sightings
@@ -109,11 +119,15 @@ def solved(settings: Settings, problem: AlignmentProblem) -> AdjustedImages:
     if settings.noise == STRUCTURED:
         must_suffice(len(problem.blocks[SPINDLE].members), "images")
     largest = max((camera.size for camera in problem.camera.cameras), key=max)
-    options = Options(settings.outliers == "remove", settings.noise in FROM_RESIDUALS, largest)
+    options = Options(settings.outliers == "remove", settings.noise in FROM_RESIDUALS, largest, started=True)
+    images = problem.images
+    near = robust_start(problem.blocks.values(), [images, *problem.others], (images.name,), problem.datum, "view")
     try:
-        adjusted = _adjusted(problem, options)
+        adjusted = _adjusted(problem, near, options)
     except (InputError, NotConvergedError) as error:
-        raise _with_images_left_out(problem, options, error) from None
+        # where more than half of the readings are far off, no few images spoil the fit of the others
+        lost = is_lost(typical(images, near), largest)
+        raise error if lost else _with_images_left_out(problem, near, options, error) from None
     solution = adjusted.solution
     if solution.undetermined or solution.outcome is Outcome.TOO_FEW:
         raise UndeterminedError(explained(problem, solution), solution.misfit)
@@ -121,21 +135,23 @@ def solved(settings: Settings, problem: AlignmentProblem) -> AdjustedImages:
     return adjusted if other is None else solved(settings, other)
 
 
-def _adjusted(problem: AlignmentProblem, options: Options) -> AdjustedImages:
-    adjusted = adjust_images(problem.blocks, problem.images, problem.others, problem.datum, options)
+def _adjusted(problem: AlignmentProblem, near: Mapping[str, Block], options: Options) -> AdjustedImages:
+    adjusted = adjust_images(near, problem.images, problem.others, problem.datum, options)
+    if adjusted.solution.outcome is Outcome.ITERATION_LIMIT:
+        must_fit(typical(adjusted.group, adjusted.solution.blocks), options.image_size)
     if adjusted.solution.outcome is not Outcome.TOO_FEW:  # that is explained with what is not determined
         must_converge(adjusted.solution)
     return adjusted
 
 
 def _with_images_left_out(
-    problem: AlignmentProblem, options: Options, error: InputError | NotConvergedError
+    problem: AlignmentProblem, near: Mapping[str, Block], options: Options, error: InputError | NotConvergedError
 ) -> InputError | NotConvergedError:
     """Return the error, or one that names the images without which the others fit: their poses or names are wrong."""
     if options.remove_outliers:
         return error
     try:
-        rest = _adjusted(problem, replace(options, remove_outliers=True))
+        rest = _adjusted(problem, near, replace(options, remove_outliers=True))
     except (InputError, NotConvergedError):
         return error
     keys = problem.images.observations.keys["image"]

@@ -158,4 +158,5 @@ TASK = Task(
     covariates=all_covariates,
     answers={"compare": compare},
     other_settings=other_settings,
+    unplaced=("targets",),
 )

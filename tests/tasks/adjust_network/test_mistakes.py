@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,6 +12,9 @@ import numpy as np
 import pytest
 from simulated.network import Network, network, polar
 
+from metrocli.diagnosis.adjusted_job import AdjustedJob, Misfit
+from metrocli.diagnosis.corrections import Mistake
+from metrocli.diagnosis.trials import Trial, adjusted_trials
 from metrocli.project.job import load
 from metrocli.project.runner import content
 from metrocli.tasks.adjust_network.other_settings import other_settings
@@ -216,3 +219,23 @@ def test_a_mirrored_station_is_refused_with_what_to_write(tmp_path: Path, metroc
     ran = metrocli("adjust-network", net.write(tmp_path))
     assert ran.code == 3 and "az of S2 counts the other way" in ran.err, ran.err
     assert "write az of S2 with the other sign; as good: " in ran.err and "el of S2 has the wrong sign" in ran.err
+
+
+def test_where_set_ups_differ_in_shape_only_their_readings_are_tried(
+    tmp_path: Path, metrocli: Metrocli, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Names of points without order: no list of stations or points makes the distances between them agree."""
+    tried = []
+
+    def noted(trials: Iterable[Trial]) -> Iterator[tuple[Mistake, Misfit, AdjustedJob]]:
+        every = list(trials)
+        tried.extend(mistake.input for mistake, _ in every)
+        return adjusted_trials(every[:0])
+
+    monkeypatch.setattr("metrocli.diagnosis.mistakes.adjusted_trials", noted)
+    rng = np.random.default_rng(61)
+    net = network(rng, 3, 12)
+    point = np.concatenate([rng.permutation(net.point[net.station == station]) for station in range(3)])
+    ran = metrocli("adjust-network", replace(net, point=point).write(tmp_path))
+    assert ran.code == 5 and "set-ups contradict each other" in ran.err, ran.err
+    assert set(tried) == {"readings"}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
@@ -9,6 +10,8 @@ import numpy as np
 import pytest
 
 from benchmarks.coverage import PART, TRUE_MOUNTING, Array, alignment_settings, corners, poses_over, true_camera
+from metrocli.adjust.adjustment import adjust
+from metrocli.adjust.solution import Solution
 from metrocli.errors import InputError, MetrocliError
 from metrocli.instruments.spindle_camera import Rays, start_pose
 from metrocli.simulation import SimulationOptions
@@ -48,6 +51,26 @@ def test_no_exchange_is_offered_where_none_mends_the_poses() -> None:
     with pytest.raises(MetrocliError) as failed:
         aligned(poses, order(poses, rows), 32)
     assert "are exchanged: read so" not in str(failed.value)
+
+
+def test_poses_that_fit_nothing_end_after_few_steps(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An adjustment whose readings are lost at its start and forty steps later would wander on for hundreds."""
+    steps = []
+
+    def counted(*args: Any) -> Solution:
+        solution = adjust(*args)
+        steps.append(solution.iterations)
+        return solution
+
+    monkeypatch.setattr("metrocli.tasks.shared.images.adjustment.adjust", counted)
+    poses, rng = poses_over(corners()), np.random.default_rng(35)
+    targets, settings = corners(), alignment_settings(0.05, 2e-3)
+    seen = align_part.simulate(align_part.TASK.job(settings, true_camera(), poses, targets), SimulationOptions(35))
+    table = seen.files["observations.csv"]
+    anywhere = replace(table, columns={**table.columns, "u": rng.uniform(0, 2591, len(table))})
+    with pytest.raises(MetrocliError):
+        align_part.run(align_part.TASK.job(settings, true_camera(), poses, targets, observations=anywhere))
+    assert steps and max(steps) <= 40
 
 
 def test_right_poses_are_aligned() -> None:

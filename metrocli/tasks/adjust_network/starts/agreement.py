@@ -115,8 +115,29 @@ def must_agree(readings: NetworkReadings, rough: NetworkStart) -> None:
         raise NotConvergedError(
             f"set-ups contradict each other: they put the points that they share beside each other ({words}).\n"
             "  Look at units and senses of the angles (az counter-clockwise, hz clockwise; el from the level plane, zd "
-            "from the vertical), at face 2, and at the names of stations and points"
+            "from the vertical), at face 2, and at the names of stations and points",
+            inputs=("readings", "setups") if _differ_in_shape(readings) else (),
         )
+
+
+def _differ_in_shape(readings: NetworkReadings) -> bool:
+    """Return whether set-ups contradict each other wherever they stand: no list of stations or points mends that.
+
+    They do if most distances between points that two set-ups see differ by more than a part of the network.
+    """
+    seen = readings.sightings
+    rows = np.flatnonzero(np.isfinite(seen.values).all(axis=0))
+    local = cartesian(seen.values[:, rows])[0].T
+    local[:, 2] -= seen.height[rows] + np.nan_to_num(readings.setups[1][seen.setup[rows]])
+    place = np.full((len(seen.rounds), readings.points.count, 3), np.nan)
+    place[seen.orientation[rows], seen.point[rows]] = local
+    off = []
+    for one, other in combinations(place, 2):
+        shared = np.isfinite(one + other).all(axis=1)
+        lengths = [np.linalg.norm(np.diff(each[shared], axis=0), axis=1) for each in (one, other)]
+        off.append(np.abs(lengths[0] - lengths[1]))
+    apart = np.concatenate([*off, np.zeros(0)])
+    return bool(apart.size) and float(np.median(apart)) > CONTRADICTORY * _extent(local)
 
 
 _REWEIGHTED = 8

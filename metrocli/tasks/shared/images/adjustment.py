@@ -13,7 +13,7 @@ from metrocli.adjust.datum import Datum
 from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.outcome import Outcome
-from metrocli.adjust.robust import FitQuality, Suspects, apart, gross, robust_start, suspects
+from metrocli.adjust.robust import FitQuality, Suspects, apart, gross, robust_start, suspects, typical
 from metrocli.adjust.rounds import Used, in_rounds
 from metrocli.adjust.solution import Residuals, Solution, residuals_of
 from metrocli.arrays import Array
@@ -46,6 +46,8 @@ _ROUGH = Within(0.03, 0.03)
 """Near enough to find outliers: it changes no test by more than this"""
 _LOST = 0.01
 """A median residual above this share of the image size means a mistake in the files"""
+_LOST_STEPS = 40
+"""Steps after which an adjustment ends whose median residual is above that share still, as it was at the start"""
 _LEAST = 1e-7
 """Smallest noise [px] that is estimated: below it the residuals are rounding errors"""
 _MOST = 1000
@@ -166,9 +168,9 @@ def adjust_images(
         )
         return left, bool(out.size) or using.within is not _EXACT
 
-    using, solved = in_rounds(begun, lambda using: _solved(using, others, datum, options.estimate_noise), fewer, _MOST)
+    using, solved = in_rounds(begun, lambda using: _solved(using, others, datum, options), fewer, _MOST)
     if solved.solution.outcome.good:
-        _must_fit(solved.residuals, options.image_size)
+        must_fit(typical(solved.group, solved.solution.blocks), options.image_size)
     noise = float(np.sqrt(np.mean(solved.group.observations.sigma**2))) if options.estimate_noise else None
     suspected = solved.suspects(not options.estimate_noise)
     return AdjustedImages(
@@ -185,10 +187,14 @@ def _without_lost_views(blocks: Mapping[str, Block], group: Group) -> Mapping[st
     return blocks if left.all() else {**blocks, "view": replace(view, free=view.free & left[:, None])}
 
 
-def _must_fit(residuals: Residuals | None, image_size: tuple[int, int]) -> None:
-    """Raise InputError if the median residual is far too large: a mistake in the files, not noise."""
-    middle = float("inf") if residuals is None else float(np.median(np.sqrt((residuals.values**2).sum(axis=0))))
-    if image_size[0] and np.isfinite(middle) and middle > _LOST * max(image_size):
+def is_lost(middle: float, image_size: tuple[int, int]) -> bool:
+    """Return whether a median residual [px] is far too large for an image, if its size is known."""
+    return image_size[0] > 0 and bool(np.isfinite(middle)) and middle > _LOST * max(image_size)
+
+
+def must_fit(middle: float, image_size: tuple[int, int]) -> None:
+    """Raise InputError if the median residual [px] is far too large: a mistake in the files, not noise."""
+    if is_lost(middle, image_size):
         raise InputError(
             f"the readings fit no pose. Half of them are off by more than {middle:.0f} px. Check the names of the "
             "targets, the units (mm or m, rad or deg), exchanged or mirrored axes, the camera file and the poses. If "
@@ -196,19 +202,26 @@ def _must_fit(residuals: Residuals | None, image_size: tuple[int, int]) -> None:
         )
 
 
-def _solved(using: _KeptImagePoints, others: Sequence[Group], datum: Datum | None, estimate_noise: bool) -> _Solved:
+def _solved(using: _KeptImagePoints, others: Sequence[Group], datum: Datum | None, options: Options) -> _Solved:
     """Adjust; if the noise is estimated, repeat with the noise of the last round until it no longer changes."""
 
     def solve(here: tuple[Group, Mapping[str, Block]]) -> _Solved:
         group, state = here
-        solution = adjust(state.values(), [group, *others], datum, StoppingRule(tolerance=using.within.step))
+        rule, groups = StoppingRule(tolerance=using.within.step), [group, *others]
+        if is_lost(typical(group, state), options.image_size):
+            # readings that fit nothing would wander for a thousand steps
+            solution = adjust(state.values(), groups, datum, replace(rule, limit=_LOST_STEPS))
+            state = solution.blocks
+            if solution.outcome.good or is_lost(typical(group, state), options.image_size):
+                return _Solved(solution, group, residuals_of(solution, group) if solution.outcome.good else None)
+        solution = adjust(state.values(), groups, datum, rule)
         return _Solved(solution, group, residuals_of(solution, group) if solution.outcome.good else None)
 
     def renewed(
         here: tuple[Group, Mapping[str, Block]], solved: _Solved
     ) -> tuple[tuple[Group, Mapping[str, Block]], bool]:
         sigma = solved.group.observations.sigma
-        if solved.residuals is None or not estimate_noise or (sigma <= _LEAST).any():
+        if solved.residuals is None or not options.estimate_noise or (sigma <= _LEAST).any():
             return here, False
         noise = _noise(solved.residuals, solved.group)
         if abs(noise - 1) <= using.within.noise:
