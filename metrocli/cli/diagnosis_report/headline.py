@@ -9,6 +9,7 @@ import numpy as np
 from metrocli import units
 from metrocli.adjust.clusters.robust import ESTIMATED, STRUCTURED
 from metrocli.diagnosis.correlated_error import CorrelatedError
+from metrocli.diagnosis.evidence.prices import LEVEL
 from metrocli.diagnosis.findings import Diagnosis, Finding
 from metrocli.diagnosis.linear.projection import READING
 from metrocli.diagnosis.noise import AS_OTHERS, DECLARED_SIGMA, VarianceGroup
@@ -29,8 +30,11 @@ def headline(diagnosis: Diagnosis) -> str:
     several = f"{len(groups)} groups of readings are noisier or quieter than the others (below)"
     limits += groups if len(groups) <= _MOST_GROUPS else [several]
     if diagnosis.left is None and diagnosis.job.noise_model != STRUCTURED:
+        # one that chance makes often is listed below, and no reason for alarm
         limits += [
-            f"an {smooth(error)} is not in the uncertainties of the result" for error in diagnosis.correlated_errors
+            f"an {smooth(error)} is not in the uncertainties of the result"
+            for error in diagnosis.correlated_errors
+            if error.log_level < np.log(LEVEL)
         ]
     where = f" in {diagnosis.job.part}" if diagnosis.job.part else ""
     where += f" so far ({diagnosis.ended_early})" if diagnosis.ended_early else ""
