@@ -126,8 +126,7 @@ def load(path: Path, wishes: JobOptions | None = None) -> JobFile:
     Raises InputError with all faults of the file and its YAML inputs, UsageError if the job is of another kind.
     """
     wishes = wishes or JobOptions()
-    path, wishes = _named(path, wishes)
-    faults: list[Fault] = []
+    path, wishes, faults = *_named(path, wishes), list[Fault]()
     root, text = _stated(path, wishes, faults)
     read = _read(root, path, wishes, faults)
     read, requests, own = _with_effects(read, path, wishes, faults)
@@ -253,8 +252,8 @@ def kind_of_job(path: Path) -> str | None:
 
 def _named(path: Path, wishes: JobOptions) -> tuple[Path, JobOptions]:
     """Return the file of a job, and the options with the part that its path names."""
-    path, part = named_part(path, lambda file: _root(file, wishes, [])[0])
-    return path, replace(wishes, part=part or wishes.part)
+    file, part = named_part(path, lambda file: _root(file, wishes, [])[0])
+    return file, replace(wishes, part=part or wishes.part)
 
 
 def _root(path: Path, wishes: JobOptions, faults: list[Fault]) -> tuple[Node, str]:

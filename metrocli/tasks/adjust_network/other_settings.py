@@ -204,7 +204,7 @@ def _conventions(job: Job[Settings, Files], readings: NetworkReadings) -> Iterat
         values = convention.read(table.numbers(column))
         what = f"{column} of {in_a_row(names)}"
         mistake = Mistake(
-            "readings", f"{what} {convention.words}", f"{what} {convention.write}",
+            "readings", f"{what} {convention.words}", f"{what} {convention.write}", convention.shrinks,
             file=table.file, sort="conventions", columns=0,
         )  # fmt: skip
         yield _with(job, mistake, {column: np.where(here, values, table.numbers(column))})

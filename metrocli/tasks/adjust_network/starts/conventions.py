@@ -38,6 +38,13 @@ class Convention:
     """What to do with the numbers of the column"""
     read: Callable[[Array], Array]
     """The numbers as they should be, of those that were read"""
+    shrinks: float = 1.0
+    """Factor of distances that become shorter: residuals shrink with them, whatever is right"""
+
+    @property
+    def is_length(self) -> bool:
+        """Whether it is of distances."""
+        return self.component == DISTANCE
 
 
 def _from_the_zenith(angles: Array) -> Array:
@@ -45,11 +52,12 @@ def _from_the_zenith(angles: Array) -> Array:
 
 
 def _in_unit(component: int, unit: str, factor: float) -> Convention:
-    return Convention(component, f"is in {unit}", f"times {factor:.10g}", lambda values: factor * values)
+    shrinks = min(factor, 1.0) if component == DISTANCE else 1.0
+    return Convention(component, f"is in {unit}", f"times {factor:.10g}", lambda values: factor * values, shrinks)
 
 
 _ANGLES = {unit: find_unit(unit, "angle").inside(1.0) for unit in ("gon", "deg", "rad")}
-_LENGTHS = {unit: find_unit(unit, "length").inside(1.0) for unit in ("m", "mm", "um", "cm")} | {"inches": INCH}
+_LENGTHS = {unit: find_unit(unit, "length").inside(1.0) for unit in ("m", "mm", "cm", "ft")} | {"inches": INCH}
 _OTHER_WAY = Convention(AZIMUTH, "counts the other way", "with the other sign", np.negative)
 _OF_ELEVATIONS = (
     Convention(ELEVATION, "has the wrong sign", "with the other sign", np.negative),
@@ -62,6 +70,7 @@ def other_conventions(
     readings: NetworkReadings, zenith: bool, sizes: Sequence[float]
 ) -> Iterator[tuple[tuple[int, ...], Convention]]:
     """Yield stations with a convention by which they see what the majority sees; of two halves, each beside the other.
+    So does a majority beside all others, where distances are in two units.
 
     `zenith` if the readings have zenith distances, to which a convention then applies. `sizes` are those of the units
     in the headings, one for each component [rad, rad, mm]. Nothing is yielded where none makes all stations agree.
@@ -69,10 +78,14 @@ def other_conventions(
     conventions = (_OTHER_WAY, *_other_units(sizes), *(_OF_ZENITH_DISTANCES if zenith else _OF_ELEVATIONS))
     figures = _Figures(readings, zenith)
     alike = [figures.like(station) for station in figures.stations]
-    most = max(map(len, alike), default=0)
-    for group in dict.fromkeys(tuple(stations) for stations in alike if len(stations) == most):
+    most, groups = max(map(len, alike), default=0), dict.fromkeys(map(tuple, alike))
+    for group in groups:
         others = tuple(station for station in figures.stations if station not in group)
-        for convention in conventions if others else ():
+        # mirror images do not show which is right, but a unit in use does: the majority may have the wrong one
+        tried = [
+            one for one in conventions if len(group) == most or (groups.keys() == {group, others} and one.is_length)
+        ]
+        for convention in tried if others else ():
             if all(figures.agrees(station, group, convention) for station in others):
                 yield others, convention
 
