@@ -70,10 +70,10 @@ def other_conventions(
     readings: NetworkReadings, zenith: bool, sizes: Sequence[float]
 ) -> Iterator[tuple[tuple[int, ...], Convention]]:
     """Yield stations with a convention by which they see what the majority sees; of two halves, each beside the other.
-    So does a majority beside all others, where distances are in two units.
 
-    `zenith` if the readings have zenith distances, to which a convention then applies. `sizes` are those of the units
-    in the headings, one for each component [rad, rad, mm]. Nothing is yielded where none makes all stations agree.
+    Where distances are in two units, the majority beside all others is yielded, too. `zenith` if the readings have
+    zenith distances, to which a convention then applies. `sizes` are those of the units in the headings, one for each
+    component [rad, rad, mm]. Nothing is yielded where none makes all stations agree.
     """
     conventions = (_OTHER_WAY, *_other_units(sizes), *(_OF_ZENITH_DISTANCES if zenith else _OF_ELEVATIONS))
     figures = _Figures(readings, zenith)
