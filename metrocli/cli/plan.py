@@ -44,11 +44,11 @@ def command(
     from metrocli.project.job import JobOptions, kind_of_job, load
 
     console = Console(quiet)
-    folder = out if out is not None else job.with_name(f"{job.stem}.plan")
-    planned.refuse_foreign(folder, force)
     kind = kind_of_job(job)
     not_needed, accept = KINDS[kind].planned if kind else (), wishes["accept_doubtful"]
     loaded = load(job, JobOptions(wishes["overrides"], not_needed=not_needed, accept_doubtful=accept))
+    folder = out if out is not None else loaded.file.with_name(f"{loaded.stem}.plan")
+    planned.refuse_foreign(folder, force)
     plan = runner.plan(loaded)
     revealed = None if reveal is None else _revealing(job, reveal, wishes)
     text = summary.json_of_plan(plan, folder, {} if revealed is None else as_data(revealed))

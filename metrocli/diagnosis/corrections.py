@@ -100,7 +100,7 @@ def _alike_angles(angles: Sequence[str]) -> list[list[str]]:
 def _units_of_lengths(table: Table, names: Sequence[str]) -> Iterator[tuple[str, str, float, Table]]:
     if not names:
         return
-    read = _unit(table, names[0], "length")
+    read = size_of_unit(table, names[0])
     per_metre = find_unit("m", "length").inside(1.0)
     per_centimetre = find_unit("cm", "length").inside(1.0)
     for factor in (per_metre, 1 / per_metre, INCH, 1 / INCH, per_centimetre, 1 / per_centimetre):
@@ -127,7 +127,7 @@ def _units_of_angles(table: Table, names: Sequence[str]) -> Iterator[tuple[str, 
     if not names:
         return
     degree, gon = (find_unit(symbol, "angle").inside(1.0) for symbol in ("deg", "gon"))
-    read = _unit(table, names[0], "angle")
+    read = size_of_unit(table, names[0])
     # sightings of networks have gon among their own corrections
     more = ((gon / degree, "gon"), (degree / gon, "deg")) if any(name in table for name in _TURNING) else ()
     for factor, symbol in ((degree, "deg"), (1 / degree, "rad"), *more):
@@ -177,8 +177,9 @@ def _headings(table: Table, names: Sequence[str]) -> list[str]:
     return [table.headings.get(name, f"{name}_{suffix_of(table.units[name])}") for name in names]
 
 
-def _unit(table: Table, name: str, dimension: str) -> float:
+def size_of_unit(table: Table, name: str) -> float:
     """Return the unit in which a column is read, as a multiple of the internal unit."""
+    dimension = "angle" if table.units[name] == "rad" else "length"
     heading = table.headings.get(name, f"{name}_{suffix_of(table.units[name])}")
     unit: Unit = suffixes(dimension)[heading.removeprefix(f"{name}_")]
     return unit.inside(1.0)

@@ -36,12 +36,19 @@ class Mistaken:
     """Readings that the job with the mistake left out as outliers"""
 
     @property
+    def mended(self) -> bool:
+        """Whether the job fits better after the correction, or leaves out fewer readings."""
+        return self.after < self.before or self.job.left_out < self.left_out
+
+    @property
     def gain(self) -> str:
         """What the correction of the first mistake gains, in words."""
-        squares = (self.before / self.after) ** 2
+        gains = []
+        if self.after < self.before:
+            gains.append(f"the squared residuals are {(self.before / max(self.after, 1e-12)) ** 2:.2g} times smaller")
         if self.job.left_out < self.left_out:
-            return f"{self.job.left_out} readings are left out as outliers, not {self.left_out}"
-        return f"the squared residuals are {squares:.2g} times smaller"
+            gains.append(f"the readings left out as outliers are {self.job.left_out}, not {self.left_out}")
+        return " and ".join(gains)
 
 
 def no_others(*how: object) -> tuple[()]:

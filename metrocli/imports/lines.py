@@ -12,7 +12,7 @@ from metrocli import units
 from metrocli.errors import Fault, UsageError
 from metrocli.formats.csv_header import separator_of
 from metrocli.frozen import dataclass
-from metrocli.words import suggestion
+from metrocli.words import listed, suggestion
 
 _NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
 
@@ -53,9 +53,10 @@ def with_sign(number: str, sign: int) -> str:
 def must_be_length(unit: str) -> None:
     """Raise UsageError unless a unit is one of length; it is empty if the user gave none."""
     known = list(units.suffixes("length"))
+    if not unit:
+        raise UsageError(f"the file does not state the unit of its lengths: give it by --unit, one of {listed(known)}")
     if unit not in known:
-        hint = suggestion(unit, known) if unit else f"one of {', '.join(known)}"
-        raise UsageError(f"the file does not state the unit of its lengths: give it by --unit ({hint})")
+        raise UsageError(f"--unit {unit} is no unit of length: {suggestion(unit, known)}")
 
 
 NOTE = "# note: "

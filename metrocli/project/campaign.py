@@ -99,6 +99,11 @@ def named_part(path: Path, root_of: Callable[[Path], Node]) -> tuple[Path, Campa
     return file, parts[name]
 
 
+def stem_of(path: Path, part: CampaignPart | None) -> str:
+    """Return the name of a job in those of files made from it: of a job for many parts with the part, `gear.A1`."""
+    return f"{path.stem}.{part.name}" if part else path.stem
+
+
 _Placed = tuple[CampaignPart, Callable[[str], Fault]]
 """A part, and what makes a fault at its place of a message"""
 

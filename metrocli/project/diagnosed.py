@@ -101,7 +101,7 @@ def carry_out(
     if answer is not None and answer.findings and diagnosis.found_nothing_yet:
         # what was shown as found stays
         diagnosis = replace(answer, design=diagnosis.design, limited=diagnosis.limited, quick=False)
-    if mistaken is not None and mistaken.after >= mistaken.before and diagnosis.findings:
+    if mistaken is not None and not mistaken.mended and diagnosis.findings:
         mistaken = None  # a wrong list that no correction mends explains less than an effect does
     return replace(diagnosis, mistaken=mistaken)
 

@@ -19,7 +19,7 @@ from metrocli.frozen import dataclass
 from metrocli.nodes import Node
 from metrocli.project import yaml_text
 from metrocli.project.campaign import KEY as CAMPAIGN
-from metrocli.project.campaign import CampaignPart, bound, named_part, parts_of
+from metrocli.project.campaign import CampaignPart, bound, named_part, parts_of, stem_of
 from metrocli.project.heading import Heading
 from metrocli.project.named_files import Input, inputs_of, missing
 from metrocli.project.own_effects import Defining, Package, UserEffects, own_effects
@@ -83,8 +83,8 @@ class JobFile:
 
     @property
     def stem(self) -> str:
-        """Its name in those of files made from it: of a job for many parts with the part, `gear.A1`."""
-        return f"{self.file.stem}.{self.wishes.part.name}" if self.wishes.part else self.file.stem
+        """Its name in those of files made from it."""
+        return stem_of(self.file, self.wishes.part)
 
     @property
     def folder(self) -> Path:
@@ -126,8 +126,7 @@ def load(path: Path, wishes: JobOptions | None = None) -> JobFile:
     Raises InputError with all faults of the file and its YAML inputs, UsageError if the job is of another kind.
     """
     wishes = wishes or JobOptions()
-    path, wishes = _named(path, wishes)
-    faults: list[Fault] = []
+    path, wishes, faults = *_named(path, wishes), list[Fault]()
     root, text = _stated(path, wishes, faults)
     read = _read(root, path, wishes, faults)
     read, requests, own = _with_effects(read, path, wishes, faults)
@@ -163,7 +162,7 @@ def _stated(path: Path, wishes: JobOptions, faults: list[Fault]) -> tuple[Node, 
 def _read(root: Node, path: Path, wishes: JobOptions, faults: list[Fault]) -> _ReadJob:
     """Return what the keys of a job say; raise InputError if its kind is not known."""
     more = tuple(effect_node(effect, path.parent) for effect in wishes.effects)
-    kind = _kind(root, path, wishes.kind)
+    kind = _kind(root, path, wishes)
     if kind is None:
         known = tuple(entry for entry in root.entries if entry[0].text in settings_of(Heading))
         read_sections(replace(root, entries=known), (Heading,), faults)
@@ -232,7 +231,7 @@ def _checked(
     faults.extend(missing(inputs, wishes.not_needed, wishes.made))
     if faults:
         raise InputError(_in_order(faults))
-    output = wishes.output or heading.output or path.parent / "results" / f"{path.stem}.h5"
+    output = wishes.output or heading.output or path.parent / "results" / f"{stem_of(path, wishes.part)}.h5"
     if os.path.realpath(output) in {os.path.realpath(file) for item in inputs for file in item.paths}:
         raise InputError([job.root.at("output").fault(f"the output {output} is one of the inputs", "name another one")])
     return inputs, output
@@ -248,13 +247,13 @@ def load_parts(path: Path, wishes: JobOptions) -> list[JobFile]:
 def kind_of_job(path: Path) -> str | None:
     """Return the kind of a job file, or None if it names no known kind."""
     path, wishes = _named(path, JobOptions())
-    return _kind(_root(path, wishes, [])[0], path, None)
+    return _kind(_root(path, wishes, [])[0], path, wishes)
 
 
 def _named(path: Path, wishes: JobOptions) -> tuple[Path, JobOptions]:
     """Return the file of a job, and the options with the part that its path names."""
-    path, part = named_part(path, lambda file: _root(file, wishes, [])[0])
-    return path, replace(wishes, part=part or wishes.part)
+    file, part = named_part(path, lambda file: _root(file, wishes, [])[0])
+    return file, replace(wishes, part=part or wishes.part)
 
 
 def _root(path: Path, wishes: JobOptions, faults: list[Fault]) -> tuple[Node, str]:
@@ -279,12 +278,13 @@ def _root(path: Path, wishes: JobOptions, faults: list[Fault]) -> tuple[Node, st
     return root, text
 
 
-def _kind(root: Node, path: Path, wanted: str | None) -> str | None:
-    """Return the kind of a job, or None if it is unknown; raise UsageError if it is not the `wanted` one."""
+def _kind(root: Node, path: Path, wishes: JobOptions) -> str | None:
+    """Return the kind of a job, or None if it is unknown; raise UsageError if it is not the one that is asked for."""
     node = root.get("job")
     kind = node.text if node is not None and node.kind == "scalar" and node.text in tasks.KINDS else None
-    if kind is not None and wanted not in (None, kind):
-        raise UsageError(f"{path} is a job of the kind {kind}; use: metrocli {kind} {path}")
+    if kind is not None and wishes.kind not in (None, kind):
+        job = f'"{path}[{wishes.part.name}]"' if wishes.part else path
+        raise UsageError(f"{path} is a job of the kind {kind}; use: metrocli {kind} {job}")
     return kind
 
 

@@ -12,7 +12,7 @@ from metrocli.errors import Fault, InputError, UsageError
 from metrocli.frozen import dataclass
 from metrocli.nodes import Node
 from metrocli.project import PROJECT_FILE
-from metrocli.project.campaign import CampaignPart, bound, parts_of
+from metrocli.project.campaign import CampaignPart, bound, parts_of, stem_of
 from metrocli.project.heading import FileBeside
 from metrocli.project.job import JobFile, JobOptions, load
 from metrocli.project.named_files import absolute
@@ -125,8 +125,7 @@ def _peek_output(job: _Listed) -> Path | None:
         return None
     output = job.root.get("output")
     if output is None:
-        stem = job.path.stem
-        return job.path.parent / "results" / f"{stem}.h5"
+        return job.path.parent / "results" / f"{stem_of(job.path, job.part)}.h5"
     try:
         # the output alone: faults of other entries are reported when the job is loaded
         alone = replace(job.root, entries=((output, output),))

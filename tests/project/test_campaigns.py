@@ -190,3 +190,26 @@ def test_the_extended_job_of_a_part_has_its_name(project: Path, metrocli: Callab
 
     assert [load(Path(f"jobs/gear.yaml{part}")).stem for part in ("[A1]", "[012]")] == ["gear.A1", "gear.012"]
     assert load(Path("line.yaml")).stem == "line"
+
+
+def test_parts_without_an_output_have_a_result_each(project: Path, metrocli: Callable[..., Any]) -> None:
+    """Each part that ran alone had replaced the result of another, and a project refused them."""
+    Path("jobs/gear.yaml").write_text(JOB.replace("output: ../results/{part}.h5\n", ""))
+    for part in ("A1", "A2"):
+        assert metrocli("straight-line", f"jobs/gear.yaml[{part}]").code == 0
+    assert sorted(path.name for path in Path("jobs/results").glob("*.h5")) == ["gear.A1.h5", "gear.A2.h5"]
+    done = metrocli("run")
+    assert (done.code, ran(done)) == (0, ["012"]), done.err
+
+
+def test_a_part_of_another_kind_is_named_with_what_to_use(project: Path, metrocli: Callable[..., Any]) -> None:
+    done = metrocli("multilaterate", "jobs/gear.yaml[A2]")
+    assert (done.code, 'metrocli straight-line "jobs/gear.yaml[A2]"' in done.err) == (2, True), done.err
+
+
+def test_the_plan_of_a_part_has_its_name(tmp_path: Path, metrocli: Callable[..., Any]) -> None:
+    metrocli("init", tmp_path / "p", "--sample", "machine-methods")
+    path = tmp_path / "p" / "jobs" / "six-dof.yaml"
+    path.write_text(f"{path.read_text()}for: {{part: [v1.2]}}\n")
+    assert metrocli("plan", f"{path}[v1.2]").code == 0
+    assert [folder.name for folder in path.parent.glob("*.plan")] == ["six-dof.v1.2.plan"]

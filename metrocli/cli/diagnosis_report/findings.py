@@ -149,8 +149,7 @@ def _mistake(diagnosis: Diagnosis) -> Iterator[str]:
         yield f"A {what} of this job is wrong{alike}:"
         yield from (f"  {mistake}" for mistake in mistakes[:_SHOWN])
         yield f"write: {mistakes[0].write}" + (", if it is the first" if mistakes[1:] else "")
-        mended = diagnosis.mistaken.after < diagnosis.mistaken.before
-        yield f"All that follows is for the {'corrected job' if mended else 'job as it stands'}."
+        yield f"All that follows is for the {'corrected job' if diagnosis.mistaken.mended else 'job as it stands'}."
 
 
 def _wrong(outliers: tuple[Outlier, ...]) -> Iterator[str]:

@@ -12,7 +12,7 @@ from itertools import combinations
 import numpy as np
 
 from metrocli.arrays import Array, Index
-from metrocli.diagnosis.corrections import Mistake
+from metrocli.diagnosis.corrections import Mistake, size_of_unit
 from metrocli.errors import MetrocliError
 from metrocli.instruments.tracker import DISTANCE
 from metrocli.table import Table
@@ -194,15 +194,17 @@ def _faces(job: Job[Settings, Files], readings: NetworkReadings) -> Iterator[_Ot
 
 def _conventions(job: Job[Settings, Files], readings: NetworkReadings) -> Iterator[_Other]:
     """Yield stations whose angles or distances are of another sort than those of the others."""
-    table, columns = job.files.sightings, (("az", "hz"), ("el", "zd"), ("d",))
-    for stations, convention in other_conventions(readings, "zd" in table):
+    table = job.files.sightings
+    columns = [next((name for name in names if name in table), "") for names in (("az", "hz"), ("el", "zd"), ("d",))]
+    sizes = [size_of_unit(table, name) if name else 1.0 for name in columns]
+    for stations, convention in other_conventions(readings, "zd" in table, sizes):
         names = [readings.stations.names[station] for station in stations]
         here = np.isin(table.texts("station"), names)
-        column = next(name for name in columns[convention.component] if name in table)
+        column = columns[convention.component]
         values = convention.read(table.numbers(column))
         what = f"{column} of {in_a_row(names)}"
         mistake = Mistake(
-            "readings", f"{what} {convention.words}", f"{what} {convention.write}",
+            "readings", f"{what} {convention.words}", f"{what} {convention.write}", convention.shrinks,
             file=table.file, sort="conventions", columns=0,
         )  # fmt: skip
         yield _with(job, mistake, {column: np.where(here, values, table.numbers(column))})

@@ -14,7 +14,6 @@ from metrocli.adjust.robust import critical_value, robust_start
 from metrocli.adjust.rounds import adjust_with_iterated_weights, in_rounds
 from metrocli.adjust.solution import Residuals, Solution, residuals_of
 from metrocli.arrays import Array, Index, Mask
-from metrocli.doubt import MOST_REJECTED
 from metrocli.errors import NotConvergedError, UndeterminedError
 from metrocli.frozen import dataclass
 from metrocli.geometry import poses
@@ -32,7 +31,13 @@ from metrocli.tasks.adjust_network.starts.contradictions import (
     removable,
     sightings_to_blame,
 )
-from metrocli.tasks.adjust_network.suspects import SuspectedReading, contradictions, suspected, worst_of_points
+from metrocli.tasks.adjust_network.suspects import (
+    SuspectedReading,
+    contradictions,
+    have_one_cause,
+    suspected,
+    worst_of_points,
+)
 from metrocli.tasks.shared.mirror import Mirrored
 from metrocli.words import listed
 
@@ -272,8 +277,7 @@ def _must_be_determined(network: Network, solution: Solution, out: Sequence[Susp
     if solution.outcome in (Outcome.UNDETERMINED, Outcome.TOO_FEW):
         lines = [f"  {combination}" for combination in solution.undetermined[:_MOST_NAMED]]
         gone = [f"  Left out as wrong: {listed([suspect.name for suspect in out])}"] if out else []
-        count = sum(group.observations.readings.size for group in network.model.readings) + len(out)
-        if len(out) > MOST_REJECTED * count:
+        if have_one_cause(network.model.readings, out):
             gone.append("  So many have one cause: `metrocli diagnose` tries other units, signs and names")
         raise UndeterminedError("\n".join([solution.outcome.value, *lines, *gone, *_cures(solution)]), solution.misfit)
     if not solution.outcome.good:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from metrocli.adjust.model.groups import Group
 from metrocli.adjust.robust import FitQuality, as_likely, suspects
 from metrocli.adjust.solution import Residuals, Solution
 from metrocli.arrays import Index
+from metrocli.doubt import MANY_LEFT_OUT, MOST_REJECTED
 from metrocli.frozen import dataclass
 from metrocli.instruments.tracer import POINT
 from metrocli.tasks.adjust_network.groups import GIVEN_POINTS, OF_POINT
@@ -88,3 +90,13 @@ def _suspect(group: Group, row: int, test: float) -> SuspectedReading:
     points = np.atleast_2d(index.get(OF_POINT, index[POINT]))[:, row]
     keys = {key: texts[row] for key, texts in group.observations.keys.items()}
     return SuspectedReading(group.name, row, test, keys, frozenset(points.tolist()))
+
+
+def have_one_cause(groups: Iterable[Group], out: Sequence[SuspectedReading]) -> bool:
+    """Return whether more than a third of all readings, or of those of one station, were left out as wrong."""
+    left = Counter[str]()
+    for group in groups:
+        left[""] += group.observations.readings.size
+        left.update(group.observations.keys.get("station", ()))
+    lost = Counter(suspect.keys["station"] for suspect in out if "station" in suspect.keys) + Counter({"": len(out)})
+    return any(count > MOST_REJECTED * (count + left[of]) for of, count in lost.items() if count >= MANY_LEFT_OUT)

@@ -175,7 +175,11 @@ ONE_SORT = {
     "zd is in gon": ("az_rad,zd_deg,d_mm", 1, lambda v: v / 0.9, "zd of S3 is in gon"),
     "metres": ("az_rad,el_rad,d_mm", 2, lambda v: v / 1000, "d of S3 is in m"),
     "inches": ("az_rad,el_rad,d_mm", 2, lambda v: v / 25.4, "d of S3 is in inches"),
+    "feet": ("az_rad,el_rad,d_mm", 2, lambda v: v / 304.8, "d of S3 is in ft"),
+    "millimetres": ("az_rad,el_rad,d_m", 2, lambda v: v * 1000, "d of S3 is in mm"),
+    "radians": ("az_deg,el_rad,d_mm", 0, np.radians, "az of S3 is in rad"),
 }
+IN_HEADING = {"deg": np.degrees, "m": lambda v: v / 1000}
 
 
 @pytest.mark.parametrize("sort", ONE_SORT)
@@ -185,7 +189,7 @@ def test_a_station_with_readings_of_another_sort_is_proposed(sort: str, tmp_path
     right = net.seen.copy()
     for at, name in enumerate(header.split(",")):
         right[:, at] = np.pi / 2 - right[:, at] if name.startswith("zd") else right[:, at]
-        right[:, at] = np.degrees(right[:, at]) if name.endswith("_deg") else right[:, at]
+        right[:, at] = IN_HEADING.get(name.partition("_")[2], np.asarray)(right[:, at])
     seen, here = right.copy(), net.station == 2
     seen[here, column] = other(seen[here, column])
     found = [
@@ -194,9 +198,29 @@ def test_a_station_with_readings_of_another_sort_is_proposed(sort: str, tmp_path
         if " of S" in mistake.words
     ]
     assert [one for one, _ in found] == [words]
-    heading = header.split(",")[column]
-    read = found[0][1].numbers(heading.partition("_")[0])
-    assert (np.degrees(read) if heading.endswith("_deg") else read) == pytest.approx(right[:, column], rel=1e-9)
+    name, _, unit = header.split(",")[column].partition("_")
+    assert IN_HEADING.get(unit, np.asarray)(found[0][1].numbers(name)) == pytest.approx(right[:, column], rel=1e-9)
+
+
+@pytest.mark.parametrize(("stations", "words"), [([1], "d of S2 is in m: "), ([1, 2], "d of S2 and S3 is in m: ")])
+def test_the_stations_with_distances_in_metres_are_named(
+    stations: list[int], words: str, tmp_path: Path, metrocli: Metrocli
+) -> None:
+    """Without a list of points those in mm fit as well in um: they had been named."""
+    net = network(np.random.default_rng(61), 3 if stations[1:] else 2, 12, listed=False)
+    seen = net.seen.copy()
+    seen[np.isin(net.station, stations), 2] /= 1000
+    ran = metrocli("adjust-network", replace(net, seen=seen).write(tmp_path))
+    assert ran.code == 3 and words in ran.err and "um" not in ran.err, ran.err
+
+
+def test_a_station_that_is_left_out_as_wrong_has_one_cause(tmp_path: Path, metrocli: Metrocli) -> None:
+    """A quarter of all readings, but all distances of a station: 72 names had stood there, and no cause."""
+    net = network(np.random.default_rng(61), 4, 12, faces=2)
+    seen = net.seen.copy()
+    seen[net.station == 2, 2] /= 1000
+    ran = metrocli("adjust-network", replace(net, seen=seen).write(tmp_path, more="outliers: remove\n"))
+    assert ran.code == 4 and "So many have one cause: `metrocli diagnose` tries other units" in ran.err, ran.err
 
 
 def test_a_levelled_station_has_no_elevations_of_the_wrong_sign(tmp_path: Path) -> None:

@@ -70,6 +70,15 @@ def test_diagnose_continues_with_the_right_sign(job: Path, metrocli: Metrocli) -
     assert not found["effects"]
 
 
+def test_what_fewer_outliers_mend_is_the_corrected_job(job: Path, metrocli: Metrocli) -> None:
+    """Seven poses were left out, and the residuals of the others are as small with the wrong sign as with the right."""
+    edited(job, flipped("eb_rad"), "remove")
+    ran = metrocli("diagnose", job)
+    assert "eb has the wrong sign" in ran.out and "All that follows is for the corrected job." in ran.out
+    ran = metrocli("calibrate-machine", job)
+    assert "the readings left out as outliers are 0, not 7; write eb with the other sign" in ran.out
+
+
 def test_wrong_readings_are_no_wrong_sign(job: Path, metrocli: Metrocli) -> None:
     """Four gross readings: no sign brings them back."""
     wrong = {("xy", 2): 0.05, ("xz", 1): -0.08, ("x", 4): 0.03, ("yz", 3): 0.2}

@@ -6,7 +6,7 @@ right one makes its figure congruent with theirs.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from metrocli.geometry import poses
 from metrocli.instruments.tracker import AZIMUTH, DISTANCE, ELEVATION, cartesian
 from metrocli.tasks.adjust_network.readings import NetworkReadings
 from metrocli.tasks.adjust_network.starts.agreement import fitted, medians
+from metrocli.units import INCH, find_unit
 
 _FEWEST = 5
 """Points that two stations share, at least: among fewer a single wrong reading decides"""
@@ -23,8 +24,8 @@ _CONGRUENT = 2e-3
 """Share of the extent of two figures, by which half of the points differ at most where they are congruent"""
 _IN_SPACE = 0.02
 """Share of its longest extent that a figure has in each direction: one in a plane is its own mirror image"""
-_GON = 0.9
-"""Degrees in a gon"""
+_SAME = 1e-9
+"""Relative difference of the sizes of two units that are one"""
 
 
 @dataclass(frozen=True)
@@ -37,26 +38,27 @@ class Convention:
     """What to do with the numbers of the column"""
     read: Callable[[Array], Array]
     """The numbers as they should be, of those that were read"""
+    shrinks: float = 1.0
+    """Factor of distances that become shorter: residuals shrink with them, whatever is right"""
+
+    @property
+    def is_length(self) -> bool:
+        """Whether it is of distances."""
+        return self.component == DISTANCE
 
 
 def _from_the_zenith(angles: Array) -> Array:
     return np.asarray(np.pi / 2 - angles)
 
 
-def _times(component: int, factor: float, unit: str) -> Convention:
-    return Convention(component, f"is in {unit}", f"times {factor:.10g}", lambda values: factor * values)
+def _in_unit(component: int, unit: str, factor: float) -> Convention:
+    shrinks = min(factor, 1.0) if component == DISTANCE else 1.0
+    return Convention(component, f"is in {unit}", f"times {factor:.10g}", lambda values: factor * values, shrinks)
 
 
-_EITHER = (
-    Convention(AZIMUTH, "counts the other way", "with the other sign", np.negative),
-    *(_times(angle, _GON, "gon") for angle in (AZIMUTH, ELEVATION)),
-    *(_times(angle, 1 / _GON, "deg") for angle in (AZIMUTH, ELEVATION)),
-    _times(DISTANCE, 1000.0, "m"),
-    _times(DISTANCE, 1e-3, "um"),
-    _times(DISTANCE, 25.4, "inches"),
-    _times(DISTANCE, 1 / 25.4, "mm"),
-    _times(DISTANCE, 10.0, "cm"),
-)
+_ANGLES = {unit: find_unit(unit, "angle").inside(1.0) for unit in ("gon", "deg", "rad")}
+_LENGTHS = {unit: find_unit(unit, "length").inside(1.0) for unit in ("m", "mm", "cm", "ft")} | {"inches": INCH}
+_OTHER_WAY = Convention(AZIMUTH, "counts the other way", "with the other sign", np.negative)
 _OF_ELEVATIONS = (
     Convention(ELEVATION, "has the wrong sign", "with the other sign", np.negative),
     Convention(ELEVATION, "is a zenith distance", "as 90 deg minus it", _from_the_zenith),
@@ -64,20 +66,34 @@ _OF_ELEVATIONS = (
 _OF_ZENITH_DISTANCES = (Convention(ELEVATION, "is an elevation", "as 90 deg minus it", _from_the_zenith),)
 
 
-def other_conventions(readings: NetworkReadings, zenith: bool) -> Iterator[tuple[tuple[int, ...], Convention]]:
+def other_conventions(
+    readings: NetworkReadings, zenith: bool, sizes: Sequence[float]
+) -> Iterator[tuple[tuple[int, ...], Convention]]:
     """Yield stations with a convention by which they see what the majority sees; of two halves, each beside the other.
 
-    `zenith` if the readings have zenith distances, to which a convention then applies. Nothing is yielded where none
-    makes all stations agree.
+    Where distances are in two units, the majority beside all others is yielded, too. `zenith` if the readings have
+    zenith distances, to which a convention then applies. `sizes` are those of the units in the headings, one for each
+    component [rad, rad, mm]. Nothing is yielded where none makes all stations agree.
     """
+    conventions = (_OTHER_WAY, *_other_units(sizes), *(_OF_ZENITH_DISTANCES if zenith else _OF_ELEVATIONS))
     figures = _Figures(readings, zenith)
     alike = [figures.like(station) for station in figures.stations]
-    most = max(map(len, alike), default=0)
-    for group in dict.fromkeys(tuple(stations) for stations in alike if len(stations) == most):
+    most, groups = max(map(len, alike), default=0), dict.fromkeys(map(tuple, alike))
+    for group in groups:
         others = tuple(station for station in figures.stations if station not in group)
-        for convention in (*_EITHER, *(_OF_ZENITH_DISTANCES if zenith else _OF_ELEVATIONS)) if others else ():
+        # mirror images do not show which is right, but a unit in use does: the majority may have the wrong one
+        tried = [
+            one for one in conventions if len(group) == most or (groups.keys() == {group, others} and one.is_length)
+        ]
+        for convention in tried if others else ():
             if all(figures.agrees(station, group, convention) for station in others):
                 yield others, convention
+
+
+def _other_units(sizes: Sequence[float]) -> Iterator[Convention]:
+    for component, units in ((AZIMUTH, _ANGLES), (ELEVATION, _ANGLES), (DISTANCE, _LENGTHS)):
+        factors = {unit: size / sizes[component] for unit, size in units.items()}
+        yield from (_in_unit(component, unit, factor) for unit, factor in factors.items() if abs(factor - 1) > _SAME)
 
 
 class _Figures:
@@ -108,15 +124,15 @@ class _Figures:
     def like(self, station: int) -> list[int]:
         """Return the stations whose figures are congruent with that of one, with this one."""
         own = self._own[station]
-        return [other for other in self.stations if other == station or self._congruent(own, self._own[other], other)]
+        return [other for other in self.stations if other == station or self._congruent(own, self._own[other])]
 
     def agrees(self, station: int, group: tuple[int, ...], convention: Convention) -> bool:
-        """Return whether a station agrees by a convention with those of a group that share enough points with it."""
+        """Return whether a station agrees by a convention with one of a group that shares enough points with it."""
         own = self._figure(station, convention)
-        compared = [self._congruent(own, self._own[other], other, station) for other in group]
-        return any(compared)
+        return any(self._congruent(own, self._own[other], other, station) for other in group)
 
     def _congruent(self, one: Array, other: Array, *stations: int) -> bool:
+        """Return whether two figures are congruent: by a turn about the vertical if both `stations` are levelled."""
         shared = np.isfinite(one).all(axis=1) & np.isfinite(other).all(axis=1)
         if shared.sum() < _FEWEST:
             return False
