@@ -14,7 +14,7 @@ import numpy as np
 from metrocli.frozen import dataclass
 from metrocli.table import Table
 from metrocli.units import DIMENSIONS, INCH, Unit, find_unit, suffix_of, suffixes
-from metrocli.words import in_a_row, listed
+from metrocli.words import in_a_row, lines_in_words
 
 if TYPE_CHECKING:
     from metrocli.arrays import Array, Mask, Values
@@ -117,7 +117,7 @@ def _alike_angles(angles: Sequence[str]) -> list[list[str]]:
 
 def _units_of_lengths(table: Table, names: Sequence[str]) -> Iterator[tuple[str, str, float, Table]]:
     headings = in_a_row(_headings(table, names))
-    for factor, words, unit in _other_units(table, names):
+    for factor, words, unit in other_units(table, names):
         write = f"{in_a_row([f'{name}_{unit}' for name in names])} in the heading"
         numbers = f"the numbers of {headings} times {factor:.10g}"
         yield (
@@ -126,7 +126,7 @@ def _units_of_lengths(table: Table, names: Sequence[str]) -> Iterator[tuple[str,
         )  # fmt: skip
 
 
-def _other_units(table: Table, names: Sequence[str]) -> Iterator[tuple[float, str, str]]:
+def other_units(table: Table, names: Sequence[str]) -> Iterator[tuple[float, str, str]]:
     """Yield factors that correct numbers in another unit, with what they are in words, and that unit if it has a name.
 
     A factor on a column in inches can lead to a size that no unit has: then the numbers are to be changed.
@@ -134,12 +134,15 @@ def _other_units(table: Table, names: Sequence[str]) -> Iterator[tuple[float, st
     verb = "are" if names[1:] else "is"
     if table.units[names[0]] == "rad":
         read = _unit(table, names[0], "angle")
-        angles = {unit.symbol: unit.inside(1.0) / read for unit in DIMENSIONS["angle"].units if unit.reported}
+        angles = {
+            unit.symbol: unit.inside(1.0) / read
+            for unit in DIMENSIONS["angle"].units
+            if unit.reported or unit.symbol == "gon"
+        }
         yield from ((factor, f"{verb} in {symbol}", symbol) for symbol, factor in angles.items() if factor != 1.0)
         return
     read = _unit(table, names[0], "length")
-    per_metre = find_unit("m", "length").inside(1.0)
-    per_centimetre = find_unit("cm", "length").inside(1.0)
+    per_metre, per_centimetre = (find_unit(symbol, "length").inside(1.0) for symbol in ("m", "cm"))
     for factor in (per_metre, 1 / per_metre, INCH, 1 / INCH, per_centimetre, 1 / per_centimetre):
         lengths = DIMENSIONS["length"].units
         meant = next((unit.symbol for unit in lengths if _alike(unit.times / unit.over, factor * read)), "")
@@ -176,9 +179,9 @@ def other_columns(key: str, table: Table, names: Sequence[str]) -> Iterator[tupl
 
 
 def _nearer(table: Table, names: Sequence[str], others: float, own: float) -> Iterator[tuple[float, str, str]]:
-    """Yield the units that bring the size of numbers nearer to that of others, as `_other_units` does."""
+    """Yield the units that bring the size of numbers nearer to that of others, as `other_units` does."""
     ratio = math.log(others / own) if others > 0 and own > 0 else 0.0
-    for factor, words, unit in _other_units(table, names):
+    for factor, words, unit in other_units(table, names):
         if abs(ratio - math.log(factor)) < min(abs(ratio), math.log(_LIKE_OTHERS)):
             yield factor, words, unit
 
@@ -195,13 +198,7 @@ def _parts(table: Table, size: Array) -> Iterator[tuple[str, Mask]]:
         small = size <= known[np.argmax(gaps)]
         for rows in (rows for rows in (small, ~small) if 2 * rows.sum() <= len(size)):
             lines = np.asarray(table.lines or range(1, len(size) + 1))[rows].tolist()
-            each = listed(list(map(str, lines)))
-            yield (
-                f"in lines {lines[0]} to {lines[-1]}"
-                if lines[-1] - lines[0] == len(lines) - 1 > 1
-                else (f"in line{'s' * (len(lines) > 1)} {each}"),
-                rows,
-            )
+            yield f"in {lines_in_words(lines)}", rows
 
 
 def _units_of_angles(table: Table, names: Sequence[str]) -> Iterator[tuple[str, str, float, Table]]:

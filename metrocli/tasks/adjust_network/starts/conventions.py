@@ -6,35 +6,35 @@ right one makes its figure congruent with theirs.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import partial
+from itertools import combinations
 
 import numpy as np
 
 from metrocli.arrays import Array, Index
 from metrocli.frozen import dataclass
 from metrocli.geometry import poses
-from metrocli.instruments.tracker import AZIMUTH, DISTANCE, ELEVATION, cartesian
+from metrocli.instruments.tracker import AZIMUTH, ELEVATION, cartesian
 from metrocli.tasks.adjust_network.readings import NetworkReadings
 from metrocli.tasks.adjust_network.starts.agreement import fitted, medians
 
 _FEWEST = 5
 """Points that two stations share, at least: among fewer a single wrong reading decides"""
+_MOST_POINTS, _MOST_STATIONS = 200, 3
+"""Points that are compared of two stations, and stations with which one is compared by other conventions"""
 _CONGRUENT = 2e-3
 """Share of the extent of two figures, by which half of the points differ at most where they are congruent"""
-_IN_SPACE = 0.02
-"""Share of its longest extent that a figure has in each direction: one in a plane is its own mirror image"""
-_GON = 0.9
-"""Degrees in a gon"""
 
 
 @dataclass(frozen=True)
 class Convention:
-    """A usual way to state a quantity of a sighting, which is not that of the heading."""
+    """A usual way to state quantities of a sighting, which is not that of the heading."""
 
-    component: int
+    components: tuple[int, ...]
     words: str
     write: str
-    """What to do with the numbers of the column"""
+    """What to do with the numbers of the columns"""
     read: Callable[[Array], Array]
     """The numbers as they should be, of those that were read"""
 
@@ -43,87 +43,88 @@ def _from_the_zenith(angles: Array) -> Array:
     return np.asarray(np.pi / 2 - angles)
 
 
-def _times(component: int, factor: float, unit: str) -> Convention:
-    return Convention(component, f"is in {unit}", f"times {factor:.10g}", lambda values: factor * values)
+def in_units(components: tuple[int, ...], units: Iterable[tuple[float, str, str]]) -> Iterator[Convention]:
+    """Yield the conventions of quantities in other units: factors of their numbers, with what they are in words."""
+    for factor, words, _ in units:
+        yield Convention(components, words, f"times {factor:.10g}", partial(np.multiply, factor))
 
 
-_EITHER = (
-    Convention(AZIMUTH, "counts the other way", "with the other sign", np.negative),
-    *(_times(angle, _GON, "gon") for angle in (AZIMUTH, ELEVATION)),
-    *(_times(angle, 1 / _GON, "deg") for angle in (AZIMUTH, ELEVATION)),
-    _times(DISTANCE, 1000.0, "m"),
-    _times(DISTANCE, 1e-3, "um"),
-    _times(DISTANCE, 25.4, "inches"),
-    _times(DISTANCE, 1 / 25.4, "mm"),
-    _times(DISTANCE, 10.0, "cm"),
-)
+_EITHER = (Convention((AZIMUTH,), "counts the other way", "with the other sign", np.negative),)
 _OF_ELEVATIONS = (
-    Convention(ELEVATION, "has the wrong sign", "with the other sign", np.negative),
-    Convention(ELEVATION, "is a zenith distance", "as 90 deg minus it", _from_the_zenith),
+    Convention((ELEVATION,), "has the wrong sign", "with the other sign", np.negative),
+    Convention((ELEVATION,), "is a zenith distance", "as 90 deg minus it", _from_the_zenith),
 )
-_OF_ZENITH_DISTANCES = (Convention(ELEVATION, "is an elevation", "as 90 deg minus it", _from_the_zenith),)
+_OF_ZENITH_DISTANCES = (Convention((ELEVATION,), "is an elevation", "as 90 deg minus it", _from_the_zenith),)
 
 
-def other_conventions(readings: NetworkReadings, zenith: bool) -> Iterator[tuple[tuple[int, ...], Convention]]:
+def other_conventions(
+    readings: NetworkReadings, zenith: bool, units: Sequence[Convention]
+) -> Iterator[tuple[tuple[int, ...], Convention]]:
     """Yield stations with a convention by which they see what the majority sees; of two halves, each beside the other.
 
-    `zenith` if the readings have zenith distances, to which a convention then applies. Nothing is yielded where none
-    makes all stations agree.
+    `zenith` if the readings have zenith distances, to which a convention then applies. `units` are the conventions in
+    other units. Stations that share too few points with the majority are left as they are.
     """
     figures = _Figures(readings, zenith)
-    alike = [figures.like(station) for station in figures.stations]
-    most = max(map(len, alike), default=0)
-    for group in dict.fromkeys(tuple(stations) for stations in alike if len(stations) == most):
-        others = tuple(station for station in figures.stations if station not in group)
-        for convention in (*_EITHER, *(_OF_ZENITH_DISTANCES if zenith else _OF_ELEVATIONS)) if others else ():
-            if all(figures.agrees(station, group, convention) for station in others):
-                yield others, convention
+    groups = figures.groups()
+    most = max(map(len, groups), default=0)
+    for group in (group for group in groups if len(group) == most):
+        others = [station for station in figures.stations if station not in group]
+        for convention in (*_EITHER, *units, *(_OF_ZENITH_DISTANCES if zenith else _OF_ELEVATIONS)):
+            agreeing = tuple(station for station in others if figures.agrees(station, group, convention))
+            if agreeing:
+                yield agreeing, convention
 
 
 class _Figures:
-    """The points as each station sees them."""
+    """The points as each station sees them, in its round with the most sightings."""
 
     def __init__(self, readings: NetworkReadings, zenith: bool) -> None:
         self._readings, self._zenith = readings, zenith
-        rows: Index = np.flatnonzero(np.isfinite(readings.sightings.values).all(axis=0))
-        station = readings.sightings.station[rows]
-        order = np.argsort(station, kind="stable")
-        parts = np.split(order, np.flatnonzero(np.diff(station[order])) + 1) if len(rows) else []
-        self._rows_of = {int(station[part[0]]): rows[part] for part in parts}
-        self.stations = [number for number, own in self._rows_of.items() if len(own) >= _FEWEST]
+        seen = readings.sightings
+        rows: Index = np.flatnonzero(np.isfinite(seen.values).all(axis=0))
+        order = rows[np.argsort(seen.orientation[rows], kind="stable")]
+        parts = np.split(order, np.flatnonzero(np.diff(seen.orientation[order])) + 1) if len(order) else []
+        # azimuths of two rounds have two zeros
+        self._rows_of = {int(seen.station[part[0]]): part for part in sorted(parts, key=len) if len(part) >= _FEWEST}
+        self.stations = sorted(self._rows_of)
         self._own = {number: self._figure(number) for number in self.stations}
 
     def _figure(self, station: int, convention: Convention | None = None) -> Array:
         """Return where a station sees each point, (points, 3), nan where it does not."""
         seen, rows = self._readings.sightings, self._rows_of[station]
         values = seen.values[:, rows].copy()
-        if convention is not None:
-            own = values[convention.component]
-            turned = self._zenith and convention.component == ELEVATION
-            values[convention.component] = (
+        for component in convention.components if convention is not None else ():
+            own, turned = values[component], self._zenith and component == ELEVATION
+            values[component] = (
                 _from_the_zenith(convention.read(_from_the_zenith(own))) if turned else convention.read(own)
             )
-        return medians(cartesian(values)[0].T, seen.point[rows], self._readings.points.count)
+        local = cartesian(values)[0].T
+        local[:, 2] -= seen.height[rows] + np.nan_to_num(self._readings.setups[1][seen.setup[rows]])
+        return medians(local, seen.point[rows], self._readings.points.count)
 
-    def like(self, station: int) -> list[int]:
-        """Return the stations whose figures are congruent with that of one, with this one."""
-        own = self._own[station]
-        return [other for other in self.stations if other == station or self._congruent(own, self._own[other], other)]
+    def groups(self) -> list[list[int]]:
+        """Return the stations in groups whose figures are congruent, also by way of a third one."""
+        group = {station: [station] for station in self.stations}
+        for one, other in combinations(self.stations, 2):
+            if group[one] is not group[other] and self._congruent(self._own[one], one, other):
+                group[one] += group[other]
+                group |= dict.fromkeys(group[other], group[one])
+        return list({id(stations): stations for stations in group.values()}.values())
 
-    def agrees(self, station: int, group: tuple[int, ...], convention: Convention) -> bool:
-        """Return whether a station agrees by a convention with those of a group that share enough points with it."""
+    def agrees(self, station: int, group: Sequence[int], convention: Convention) -> bool:
+        """Return whether a station agrees by a convention with one of those of a group that share most points."""
         own = self._figure(station, convention)
-        compared = [self._congruent(own, self._own[other], other, station) for other in group]
-        return any(compared)
+        sharing = sorted(group, key=lambda other: -int(np.isfinite(own + self._own[other]).all(axis=1).sum()))
+        return any(self._congruent(own, station, other) for other in sharing[:_MOST_STATIONS])
 
-    def _congruent(self, one: Array, other: Array, *stations: int) -> bool:
-        shared = np.isfinite(one).all(axis=1) & np.isfinite(other).all(axis=1)
-        if shared.sum() < _FEWEST:
+    def _congruent(self, own: Array, station: int, other: int) -> bool:
+        shared = np.flatnonzero(np.isfinite(own + self._own[other]).all(axis=1))
+        if len(shared) < _FEWEST:
             return False
-        x, y = one[shared], other[shared]
-        spread = np.linalg.svd(y - y.mean(axis=0), compute_uv=False)
-        level = len(stations) > 1 and all(self._readings.of(station).is_levelled for station in stations)
-        if spread[-1] < _IN_SPACE * spread[0]:
-            return False
+        some = shared[:: -(-len(shared) // _MOST_POINTS)]
+        x, y = own[some], self._own[other][some]
+        level = self._readings.of(station).is_levelled and self._readings.of(other).is_levelled
         miss = np.linalg.norm(poses.apply(fitted(x, y, level), x) - y, axis=1)
-        return bool(np.median(miss) < _CONGRUENT * np.ptp(y, axis=0).max())
+        # beside the smaller figure: all points lie near each other where lengths are far too small
+        return bool(np.median(miss) < _CONGRUENT * min(np.ptp(x, axis=0).max(), np.ptp(y, axis=0).max()))
