@@ -24,7 +24,9 @@ _FEWEST = 5
 _MOST_POINTS, _MOST_STATIONS = 200, 3
 """Points that are compared of two stations, and stations with which one is compared by other conventions"""
 _CONGRUENT = 2e-3
-"""Share of the extent of two figures, by which half of the points differ at most where they are congruent"""
+"""Share of the extent of the smaller figure, by which half of the points differ at most where two are congruent"""
+_RIGHT_LENGTHS = 0.2
+"""Share of the lengths between points that agree at least in congruent figures"""
 
 
 @dataclass(frozen=True)
@@ -68,6 +70,8 @@ def other_conventions(
     figures = _Figures(readings, zenith)
     groups = figures.groups()
     most = max(map(len, groups), default=0)
+    if most == 1 < len(groups) - 1:  # none of several agrees with another: nothing shows which are right
+        return
     for group in (group for group in groups if len(group) == most):
         others = [station for station in figures.stations if station not in group]
         for convention in (*_EITHER, *units, *(_OF_ZENITH_DISTANCES if zenith else _OF_ELEVATIONS)):
@@ -124,7 +128,12 @@ class _Figures:
             return False
         some = shared[:: -(-len(shared) // _MOST_POINTS)]
         x, y = own[some], self._own[other][some]
+        bound = _CONGRUENT * min(np.ptp(x, axis=0).max(), np.ptp(y, axis=0).max())
+        # lengths between points need no fit, and rule out nearly all: where half of the points are right, so is a
+        # quarter of the lengths
+        lengths = [np.linalg.norm(each - np.roll(each, 1, axis=0), axis=1) for each in (x, y)]
+        if np.quantile(np.abs(lengths[0] - lengths[1]), _RIGHT_LENGTHS) > 2 * bound:
+            return False
         level = self._readings.of(station).is_levelled and self._readings.of(other).is_levelled
         miss = np.linalg.norm(poses.apply(fitted(x, y, level), x) - y, axis=1)
-        # beside the smaller figure: all points lie near each other where lengths are far too small
-        return bool(np.median(miss) < _CONGRUENT * min(np.ptp(x, axis=0).max(), np.ptp(y, axis=0).max()))
+        return bool(np.median(miss) < bound)
