@@ -199,6 +199,56 @@ def test_a_station_with_readings_of_another_sort_is_proposed(sort: str, tmp_path
     assert (np.degrees(read) if heading.endswith("_deg") else read) == pytest.approx(right[:, column], rel=1e-9)
 
 
+def other(net: Network, station: int, columns: list[int], factor: float) -> Network:
+    seen, here = net.seen.copy(), net.station == station
+    seen[np.ix_(here, columns)] *= factor
+    return replace(net, seen=seen)
+
+
+def of_stations(net: Network, folder: Path, header: str = "az_rad,el_rad,d_mm") -> list[str]:
+    job = content(load(net.write(folder, header=header)))
+    return [mistake.words for mistake, _ in other_settings(job, False) if " of S" in mistake.words]
+
+
+def test_both_angles_of_a_station_in_gon_are_one_mistake(tmp_path: Path) -> None:
+    net = network(np.random.default_rng(66), 4, 14)
+    in_degrees = replace(net, seen=np.column_stack([np.degrees(net.seen[:, :2]), net.seen[:, 2]]))
+    found = of_stations(other(in_degrees, 2, [0, 1], 1 / 0.9), tmp_path, "az_deg,el_deg,d_mm")
+    assert found == ["az and el of S3 are in gon"]
+
+
+def test_a_station_in_mm_under_a_heading_in_m_is_in_mm(tmp_path: Path) -> None:
+    """It was in um."""
+    net = network(np.random.default_rng(67), 4, 14)
+    in_metres = replace(net, seen=net.seen / [1, 1, 1000])
+    assert of_stations(other(in_metres, 1, [2], 1000.0), tmp_path, "az_rad,el_rad,d_m") == ["d of S2 is in mm"]
+
+
+def test_stations_in_a_row_that_share_points_with_their_neighbours_alone(tmp_path: Path) -> None:
+    """Nothing was named: no station shares points with all others."""
+    net = network(np.random.default_rng(68), 6, 36)
+    near = (net.point // 6 >= net.station - 1) & (net.point // 6 <= net.station)
+    row = replace(net, station=net.station[near], point=net.point[near], face=net.face[near], seen=net.seen[near])
+    assert of_stations(other(row, 2, [2], 1e-3), tmp_path) == ["d of S3 is in m"]
+    assert not of_stations(row, tmp_path)
+
+
+def test_distances_to_points_in_a_plane_have_a_unit_too(tmp_path: Path) -> None:
+    net = network(np.random.default_rng(63), 3, 14)
+    flat = net.points * [1.0, 1.0, 0.0] + [0.0, 0.0, 1200.0]
+    away = np.einsum("nab,na->nb", net.rotations[net.station], flat[net.point] - net.places[net.station])
+    assert of_stations(other(replace(net, points=flat, seen=polar(away)), 1, [2], 1e-3), tmp_path) == [
+        "d of S2 is in m"
+    ]
+
+
+def test_a_station_that_moved_is_of_no_other_sort(tmp_path: Path) -> None:
+    net = network(np.random.default_rng(69), 4, 14)
+    seen, late = net.seen.copy(), np.flatnonzero(net.station == 1)[7:]
+    seen[late] += [0.05, 0.0, 30.0]
+    assert not of_stations(replace(net, seen=seen), tmp_path)
+
+
 def test_a_levelled_station_has_no_elevations_of_the_wrong_sign(tmp_path: Path) -> None:
     net = network(np.random.default_rng(62), 3, 14, levelled=True)
     found = proposed(flipped(net, [1], 0), tmp_path)
