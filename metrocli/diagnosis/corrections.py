@@ -120,10 +120,8 @@ def _units_of_lengths(table: Table, names: Sequence[str]) -> Iterator[tuple[str,
     for factor, words, unit in other_units(table, names):
         write = f"{in_a_row([f'{name}_{unit}' for name in names])} in the heading"
         numbers = f"the numbers of {headings} times {factor:.10g}"
-        yield (
-            f"{headings} {words}", write if unit else numbers, factor,
-            _no_looser(_scaled(table, names, factor), factor),
-        )  # fmt: skip
+        changed = _no_looser(_scaled(table, names, factor), factor)
+        yield f"{headings} {words}", write if unit else numbers, factor, changed
 
 
 def other_units(table: Table, names: Sequence[str]) -> Iterator[tuple[float, str, str]]:
@@ -188,15 +186,17 @@ def _nearer(table: Table, names: Sequence[str], others: float, own: float) -> It
 
 def _parts(table: Table, size: Array) -> Iterator[tuple[str, Mask]]:
     """Yield the rows of each source beside others, in words, and the fewer rows on one side of a gap between sizes."""
-    for column in (column for column in _SOURCES if column in table):
-        texts = np.array(table.texts(column))
-        named = dict.fromkeys(texts.tolist())
-        yield from ((f"of {column} {name}", texts == name) for name in named if len(named) > 1)
+    texts = {column: np.array(table.texts(column)) for column in _SOURCES if column in table}
+    sources = [
+        (f"of {column} {name}", of == name) for column, of in texts.items() for name in dict.fromkeys(of.tolist())
+    ]
+    yield from (source for source in sources if not source[1].all())
     known = np.sort(size)
     gaps = known[1:] / np.maximum(known[:-1], 1e-300)
     if gaps.size and gaps.max() > _GAP and known[0] > 0:
         small = size <= known[np.argmax(gaps)]
-        for rows in (rows for rows in (small, ~small) if 2 * rows.sum() <= len(size)):
+        few = [rows for rows in (small, ~small) if 2 * rows.sum() <= len(size)]
+        for rows in (rows for rows in few if not any((rows == of).all() for _, of in sources)):
             lines = np.asarray(table.lines or range(1, len(size) + 1))[rows].tolist()
             yield f"in {lines_in_words(lines)}", rows
 

@@ -210,6 +210,20 @@ def of_stations(net: Network, folder: Path, header: str = "az_rad,el_rad,d_mm") 
     return [mistake.words for mistake, _ in other_settings(job, False) if " of S" in mistake.words]
 
 
+def test_a_station_of_which_all_distances_are_left_out_is_named(tmp_path: Path, metrocli: Metrocli) -> None:
+    """It was "the data cannot determine the unknowns", with the distances that were left out."""
+    metrocli("init", tmp_path / "p", "--sample", "hall-trackers")
+    file, job = tmp_path / "p" / "data" / "readings.csv", tmp_path / "p" / "jobs" / "hall.yaml"
+    head, *lines = file.read_text().splitlines()
+    at = head.split(",").index("d_mm")
+    cells = [line.split(",") for line in lines]
+    wrong = [[*c[:at], f"{float(c[at]) / 1000:.9f}", *c[at + 1 :]] if c[0] == "S4" else c for c in cells]
+    file.write_text("\n".join([head, *map(",".join, wrong)]) + "\n")
+    job.write_text(f"{job.read_text()}outliers: remove\n")
+    ran = metrocli("adjust-network", job)
+    assert ran.code == 3 and "write d of S4 times 1000" in ran.err, ran.err
+
+
 def test_both_angles_of_a_station_in_gon_are_one_mistake(tmp_path: Path) -> None:
     net = network(np.random.default_rng(66), 4, 14)
     in_degrees = replace(net, seen=np.column_stack([np.degrees(net.seen[:, :2]), net.seen[:, 2]]))

@@ -52,6 +52,7 @@ def in_units(components: tuple[int, ...], units: Iterable[tuple[float, str, str]
 
 
 _EITHER = (Convention((AZIMUTH,), "counts the other way", "with the other sign", np.negative),)
+_AS_READ = Convention((), "", "", np.positive)
 _OF_ELEVATIONS = (
     Convention((ELEVATION,), "has the wrong sign", "with the other sign", np.negative),
     Convention((ELEVATION,), "is a zenith distance", "as 90 deg minus it", _from_the_zenith),
@@ -94,11 +95,11 @@ class _Figures:
         self.stations = sorted(self._rows_of)
         self._own = {number: self._figure(number) for number in self.stations}
 
-    def _figure(self, station: int, convention: Convention | None = None) -> Array:
+    def _figure(self, station: int, convention: Convention = _AS_READ) -> Array:
         """Return where a station sees each point, (points, 3), nan where it does not."""
         seen, rows = self._readings.sightings, self._rows_of[station]
         values = seen.values[:, rows].copy()
-        for component in convention.components if convention is not None else ():
+        for component in convention.components:
             own, turned = values[component], self._zenith and component == ELEVATION
             values[component] = (
                 _from_the_zenith(convention.read(_from_the_zenith(own))) if turned else convention.read(own)
