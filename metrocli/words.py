@@ -23,6 +23,13 @@ def listed(names: Sequence[str], most: int = 8) -> str:
     return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
 
 
+def lines_in_words(lines: Sequence[int]) -> str:
+    """Return lines of a file as a text "line 3", "lines 3 to 9" or "lines 3, 7 and 2 more"."""
+    if len(lines) > 2 and lines[-1] - lines[0] == len(lines) - 1:
+        return f"lines {lines[0]} to {lines[-1]}"
+    return f"line{'s' * (len(lines) > 1)} {listed(list(map(str, lines)))}"
+
+
 def in_a_row(names: Sequence[str]) -> str:
     """Return names as a text "a, b and c"."""
     return f"{', '.join(names[:-1])} and {names[-1]}" if len(names) > 1 else "".join(names)

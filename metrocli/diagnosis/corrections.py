@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Collection, Iterator, Mapping, Sequence
+import math
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import field, replace
 from itertools import combinations, permutations
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from metrocli.frozen import dataclass
 from metrocli.table import Table
 from metrocli.units import DIMENSIONS, INCH, Unit, find_unit, suffix_of, suffixes
-from metrocli.words import in_a_row
+from metrocli.words import in_a_row, lines_in_words
 
 if TYPE_CHECKING:
-    from metrocli.arrays import Values
+    from metrocli.arrays import Array, Mask, Values
 
 Inputs = Mapping[str, object]
 _AXES = ("x", "y", "z")
@@ -65,19 +68,26 @@ def corrections(inputs: Inputs, unplaced: Collection[str] = ()) -> Iterator[tupl
             alike = key if key in unplaced and sort == "handed" else ""
             mistake = Mistake(key, words, write, min(abs(factor), 1.0), table.file, sort, columns, alike)
             yield mistake, {**inputs, key: changed}
+        if not axes:
+            for mistake, changed in other_scales(key, table, _lengths(table)):
+                yield mistake, {**inputs, key: changed}
 
 
+ROWS = "rows"
+"""Sort of the mistake of rows that share no more than the size of their numbers"""
+_SOURCES = ("station", "tracer", "line", "view", "tool")
+"""Columns that name what several readings have in common, such as the operator who wrote them"""
+_LIKE_OTHERS = 5.0
+"""Rows in another unit differ from the others by its factor, up to so many times"""
+_GAP = 3.0
+"""Sizes of rows in two units have a gap between them of at least this factor"""
 _TURNING = ("a", "b", "c")
 """Positions of rotary axes: their sense is a setting of the machine"""
 
 
 def _of_table(table: Table) -> Iterator[tuple[str, str, float, Table]]:
     """Yield what may be wrong, what to write instead, the factor of the numbers, and the corrected table."""
-    lengths = [name for name, unit in table.units.items() if unit == "mm" and not _known(name)]
-    places = [name for name in lengths if name in _AXES]
-    others = [name for name in lengths if name not in _AXES]
-    # places may be in another unit than the other lengths, or all may share one: each is a mistake of its own
-    for names in [*([places, others] if places and others else []), lengths]:
+    for names in _lengths(table):
         yield from _units_of_lengths(table, names)
     angles = [name for name, unit in table.units.items() if unit == "rad"]
     for names in _alike_angles(angles):
@@ -89,6 +99,14 @@ def _of_table(table: Table) -> Iterator[tuple[str, str, float, Table]]:
     yield from _of_axes(table, [name for name in _AXES if name in table])
 
 
+def _lengths(table: Table) -> list[list[str]]:
+    """Return the columns of lengths that may share a mistake: the places, the others, and all of them."""
+    lengths = [name for name, unit in table.units.items() if unit == "mm" and not _known(name)]
+    places = [name for name in lengths if name in _AXES]
+    others = [name for name in lengths if name not in _AXES]
+    return [*([places, others] if places and others else []), *([lengths] if lengths else [])]
+
+
 def _alike_angles(angles: Sequence[str]) -> list[list[str]]:
     """Return the columns of angles that may share a mistake: all; those of rotary axes, each of them; the others."""
     turning = [name for name in angles if name in _TURNING]
@@ -98,29 +116,89 @@ def _alike_angles(angles: Sequence[str]) -> list[list[str]]:
 
 
 def _units_of_lengths(table: Table, names: Sequence[str]) -> Iterator[tuple[str, str, float, Table]]:
-    if not names:
+    headings = in_a_row(_headings(table, names))
+    for factor, words, unit in _other_units(table, names):
+        write = f"{in_a_row([f'{name}_{unit}' for name in names])} in the heading"
+        numbers = f"the numbers of {headings} times {factor:.10g}"
+        changed = _no_looser(_scaled(table, names, factor), factor)
+        yield f"{headings} {words}", write if unit else numbers, factor, changed
+
+
+def _other_units(table: Table, names: Sequence[str]) -> Iterator[tuple[float, str, str]]:
+    """Yield factors that correct numbers in another unit, with what they are in words, and that unit if it has a name.
+
+    A factor on a column in inches can lead to a size that no unit has: then the numbers are to be changed.
+    """
+    verb = "are" if names[1:] else "is"
+    if table.units[names[0]] == "rad":
+        read = size_of_unit(table, names[0])
+        angles = {
+            unit.symbol: unit.inside(1.0) / read
+            for unit in DIMENSIONS["angle"].units
+            if unit.reported or unit.symbol == "gon"
+        }
+        yield from ((factor, f"{verb} in {symbol}", symbol) for symbol, factor in angles.items() if factor != 1.0)
         return
     read = size_of_unit(table, names[0])
-    per_metre = find_unit("m", "length").inside(1.0)
-    per_centimetre = find_unit("cm", "length").inside(1.0)
+    per_metre, per_centimetre = (find_unit(symbol, "length").inside(1.0) for symbol in ("m", "cm"))
     for factor in (per_metre, 1 / per_metre, INCH, 1 / INCH, per_centimetre, 1 / per_centimetre):
         lengths = DIMENSIONS["length"].units
-        # a factor on a column in inches can lead to a size that no unit has: then the numbers are to be changed
-        meant = next((unit for unit in lengths if _alike(unit.times / unit.over, factor * read)), None)
-        if meant is not None:
-            words = f"{in_a_row(_headings(table, names))} {'are' if names[1:] else 'is'} in {meant.symbol}"
-            write = f"{in_a_row([f'{name}_{meant.symbol}' for name in names])} in the heading"
-        else:
-            what = (
-                "in inches"
-                if factor == INCH
-                else "divided by 25.4"
-                if factor == 1 / INCH
-                else f"off by a factor {factor:g}"
-            )
-            words = f"{in_a_row(_headings(table, names))} {'are' if names[1:] else 'is'} {what}"
-            write = f"the numbers of {in_a_row(_headings(table, names))} times {factor:.10g}"
-        yield words, write, factor, _no_looser(_scaled(table, names, factor), factor)
+        meant = next((unit.symbol for unit in lengths if _alike(unit.times / unit.over, factor * read)), "")
+        off = {INCH: "in inches", 1 / INCH: "divided by 25.4"}.get(factor, f"off by a factor {factor:g}")
+        yield factor, f"{verb} in {meant}" if meant else f"{verb} {off}", meant
+
+
+def other_scales(key: str, table: Table, groups: Iterable[Sequence[str]]) -> Iterator[tuple[Mistake, Table]]:
+    """Yield columns that are in another unit in some rows: of one source, or of one of two sizes.
+
+    Their size comes nearer to that of the other rows with another unit, so that few are tried.
+    """
+    for names in groups:
+        headings, size = in_a_row(_headings(table, names)), np.max(np.abs([table.numbers(name) for name in names]), 0)
+        for where, rows in _parts(table, size):
+            for factor, words, _ in _nearer(table, names, float(np.median(size[~rows])), float(np.median(size[rows]))):
+                mistake = Mistake(
+                    key, f"{headings} {where} {words}", f"{headings} {where} times {factor:.10g}", min(factor, 1.0),
+                    table.file, ROWS if where.startswith("in") else "scales", len(names),
+                )  # fmt: skip
+                columns = {name: table.numbers(name) * np.where(rows, factor, 1.0) for name in names}
+                yield mistake, replace(table, columns={**table.columns, **columns})
+
+
+def other_columns(key: str, table: Table, names: Sequence[str]) -> Iterator[tuple[Mistake, Table]]:
+    """Yield columns whose size comes nearer to that of others of the same sort with another unit."""
+    size = {name: np.abs(table.numbers(name)) for name in names}
+    for name in names:
+        (heading,), rest = _headings(table, [name]), [size[other] for other in names if other != name]
+        for factor, words, unit in _nearer(table, [name], float(np.median(rest)), float(np.median(size[name]))):
+            write = f"{name}_{unit} in the heading" if unit else f"the numbers of {heading} times {factor:.10g}"
+            mistake = Mistake(key, f"{heading} {words}", write, min(factor, 1.0), table.file, "scales")
+            yield mistake, _scaled(table, [name], factor)
+
+
+def _nearer(table: Table, names: Sequence[str], others: float, own: float) -> Iterator[tuple[float, str, str]]:
+    """Yield the units that bring the size of numbers nearer to that of others, as `_other_units` does."""
+    ratio = math.log(others / own) if others > 0 and own > 0 else 0.0
+    for factor, words, unit in _other_units(table, names):
+        if abs(ratio - math.log(factor)) < min(abs(ratio), math.log(_LIKE_OTHERS)):
+            yield factor, words, unit
+
+
+def _parts(table: Table, size: Array) -> Iterator[tuple[str, Mask]]:
+    """Yield the rows of each source beside others, in words, and the fewer rows on one side of a gap between sizes."""
+    texts = {column: np.array(table.texts(column)) for column in _SOURCES if column in table}
+    sources = [
+        (f"of {column} {name}", of == name) for column, of in texts.items() for name in dict.fromkeys(of.tolist())
+    ]
+    yield from (source for source in sources if not source[1].all())
+    known = np.sort(size)
+    gaps = known[1:] / np.maximum(known[:-1], 1e-300)
+    if gaps.size and gaps.max() > _GAP and known[0] > 0:
+        small = size <= known[np.argmax(gaps)]
+        few = [rows for rows in (small, ~small) if 2 * rows.sum() <= len(size)]
+        for rows in (rows for rows in few if not any((rows == of).all() for _, of in sources)):
+            lines = np.asarray(table.lines or range(1, len(size) + 1))[rows].tolist()
+            yield f"in {lines_in_words(lines)}", rows
 
 
 def _units_of_angles(table: Table, names: Sequence[str]) -> Iterator[tuple[str, str, float, Table]]:

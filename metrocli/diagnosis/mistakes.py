@@ -7,16 +7,16 @@ anything that an effect causes (decision 019); other settings also where no decl
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from functools import partial
 from typing import TypeVar
 
 import numpy as np
 
 from metrocli.diagnosis.adjusted_job import ABSURD, BETTER, AdjustedJob, Misfit, misfit_of
-from metrocli.diagnosis.corrections import Inputs, Mistake, corrections
+from metrocli.diagnosis.corrections import ROWS, Inputs, Mistake, corrections
 from metrocli.diagnosis.other_settings import with_other_setting
-from metrocli.diagnosis.trials import FAILURES, MOST_ROWS, Mistaken, Others, adjusted_trials, no_others
+from metrocli.diagnosis.trials import FAILURES, MOST_ROWS, Mistaken, Others, Trial, adjusted_trials, no_others
 from metrocli.errors import Fault, InputError, MetrocliError, NoSolutionError
 from metrocli.table import Table
 
@@ -70,6 +70,10 @@ def without_mistakes(
         return best, Mistaken(tuple(mistake for _, mistake, _ in alike), best, before, after)
     if job is None:
         raise failure or RuntimeError("a job that gave nothing")
+    # the median that is absurd does not show what one source of several spoils
+    better = with_other_setting(job, others)
+    if better is not None and misfit_of(better.job).worst <= 1:
+        return better.job, better
     # readings that fit places which no list has: no unit and no axis mends that
     return job, Mistaken((ELSEWHERE,), job, before, before) if misfits.residuals < 1 < misfits.places else None
 
@@ -113,21 +117,22 @@ def misread(
 
     `failure` is the error with which the job ended, if it did; `unplaced` as for `corrections`. Nothing is tried for
     errors that name a line or what to write, since they are explanations, and for readings that fit or are too few: no
-    heading causes that.
+    heading causes that. Rows whose numbers are of another size explain more than such a hint.
     """
     tables = [table for table in inputs.values() if isinstance(table, Table)]
-    # an error that names a line or what to write explains itself
-    if sum(map(len, tables)) > MOST_ROWS or (failure is not None and not _unexplained(failure)):
+    explained = failure is not None and not _unexplained(failure)
+    if sum(map(len, tables)) > MOST_ROWS or (explained and not isinstance(failure, InputError)):
         return None
     before = None
     if failure is None:
         before = misfit_of(adjust(inputs))
         if before.residuals < 1 and before.places < _SUSPECT_PLACES:
             return None
+    trials: Iterable[Trial] = _readings_of(inputs, adjust, no_others if explained else others, unplaced, failure)
+    if explained:
+        trials = (trial for trial in trials if trial[0].sort == ROWS)
     misfits = [
-        (misfit.worst, mistake, misfit)
-        for mistake, misfit, job in adjusted_trials(_readings_of(inputs, adjust, others, unplaced, failure))
-        if _explains(misfit, job)
+        (misfit.worst, mistake, misfit) for mistake, misfit, job in adjusted_trials(trials) if _explains(misfit, job)
     ]
     if before is not None:
         misfits = [

@@ -13,7 +13,7 @@ import numpy as np
 from metrocli.adjust.dense_jacobian import least_square, unit_noise
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.probabilities import f_tail
-from metrocli.diagnosis.adjusted_job import AdjustedJob
+from metrocli.diagnosis.adjusted_job import ABSURD, BETTER, AdjustedJob
 from metrocli.diagnosis.trials import FAILURES, MOST_ROWS, Mistaken, Others, adjusted_trials
 from metrocli.doubt import MANY_LEFT_OUT
 from metrocli.effects.model import Model
@@ -24,6 +24,8 @@ _BY_CHANCE = 1e-4
 """Level of the F test that they are smaller by chance"""
 _FEWER = 3.0
 """Another setting is reported, too, if it leaves out so many times fewer outliers"""
+_BELOW_NOISE = 0.01
+"""Share of their mean square below which the residuals fall with smaller numbers alone: then these show nothing"""
 _SURELY = 1.05
 """A least mean square that is so many times what would do rules an adjustment out: it is known to a few thousandths"""
 _MOST_FITTING, _LARGER_NOISE = 5_000, 2.0
@@ -53,12 +55,17 @@ def with_other_setting(job: AdjustedJob, others: Others) -> Mistaken | None:
         (not (many and other.left_out * _FEWER <= job.left_out), _mean_square(other, size), mistake, other)
         for mistake, _, other in adjusted_trials(trials)
     ]
+    # numbers that are made smaller have smaller residuals, whatever is wrong
+    each = [trial for trial in each if not trial[0] or before * trial[2].shrinks ** 2 >= _BELOW_NOISE * trial[1]]
     if not each:
         return None
     as_many, after, mistake, other = min(each, key=lambda trial: trial[:2])
     ratio = before / max(after, 1e-12)
     # one set of readings gives both squares, which then differ less than the independent ones of an F test
     as_good = (ratio < _OTHER_FITS and _redundant(other) <= dof) or f_tail(dof, dof, ratio) > _BY_CHANCE
+    # what leaves the readings absurd has to explain nearly all of it
+    if after > ABSURD**2 and ratio < BETTER**2 and as_many:
+        return None
     if as_good and (as_many or ratio * _OTHER_FITS < 1):
         return None
     return Mistaken((mistake,), other, float(np.sqrt(before)), float(np.sqrt(after)), job.left_out)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -24,6 +24,7 @@ from metrocli.tasks.multilaterate import task as multilaterate
 from metrocli.tasks.multilaterate.settings import Inputs, Settings
 from metrocli.tasks.shared.lengths import LengthNoise
 
+Metrocli = Callable[..., Any]
 SETTINGS = Settings(Inputs(Path("-"), Path("-")), LengthNoise(*lengths.NOISE))
 
 
@@ -153,3 +154,43 @@ def test_a_list_whose_frame_is_unknown_is_mirrored_in_any_axis(tmp_path: Path, m
     ways += [f"{one} has the wrong sign" for one in "xyz"]
     assert all(way in text for text in (found.out, refused.err) for way in ways)
     assert "which the readings do not distinguish" in found.out
+
+
+@pytest.mark.parametrize(("rows", "words"), [(range(50, 100), "lines 51 to 100"), ((3, 40, 77), "lines 4, 41, 78")])
+def test_rows_in_another_unit_are_named(rows: Iterable[int], words: str) -> None:
+    """Readings of two operators, or numbers that lost their decimal comma: no tracer has all of them."""
+    right = files()
+    length = right["lengths"].numbers("length").copy()
+    length[list(rows)] /= 1000
+    table = right["lengths"]
+    wrong = {**right, "lengths": changed(table, length=length)}
+    _, mistaken = without_mistakes(wrong, adjust)
+    assert mistaken is not None
+    assert str(mistaken.mistakes[0]) == f"lengths: length_mm in {words} is in m"
+    assert mistaken.mistakes[0].write == f"length_mm in {words} times 1000"
+    assert without_mistakes(right, adjust)[1] is None
+
+
+def test_rows_in_another_unit_explain_more_than_a_list_that_does_not_fit(tmp_path: Path, metrocli: Metrocli) -> None:
+    """It was "check that they are not those of another list of points", for each tracer."""
+    metrocli("init", tmp_path / "p", "--sample", "laboratory-effects")
+    file = tmp_path / "p" / "data" / "lengths.csv"
+    head, *lines = file.read_text().splitlines()
+    cells = [line.split(",") for line in lines]
+    half = [[a, b, f"{float(c) / 1000:.9f}" if i >= 100 else c, *rest] for i, (a, b, c, *rest) in enumerate(cells)]
+    file.write_text("\n".join([head, *map(",".join, half)]) + "\n")
+    ran = metrocli("multilaterate", tmp_path / "p" / "jobs" / "hall.yaml")
+    assert ran.code == 3 and "length_mm in lines 102 to 201 is in m" in ran.err, ran.err
+    assert "write length_mm in lines 102 to 201 times 1000" in ran.err
+
+
+def test_a_view_in_another_unit_is_named_with_what_to_write(tmp_path: Path, metrocli: Metrocli) -> None:
+    metrocli("init", tmp_path / "p", "--sample", "ball-cube")
+    file = tmp_path / "p" / "data" / "views.csv"
+    head, *lines = file.read_text().splitlines()
+    cells = [line.split(",") for line in lines]
+    file.write_text("\n".join([head, *(",".join(
+        [*row[:4], *(f"{float(v) / 1000:.9f}" for v in row[4:7]), *row[7:]] if row[0] == "4" else row
+    ) for row in cells)]) + "\n")  # fmt: skip
+    ran = metrocli("selfcal-grid", tmp_path / "p" / "jobs" / "views.yaml")
+    assert ran.code == 3 and "write x_mm, y_mm and z_mm of view 4 times 1000" in ran.err, ran.err

@@ -356,6 +356,9 @@ ELSEWHERE = {
     "{} are in {}": ((OF_NETWORKS, "test_a_mistake_is_found_and_its_correction_fits"), RIGHT),
     "{} of {} has the wrong sign": ((OF_MACHINES, "test_a_tool_with_the_wrong_sign_is_refused"), SOUND),
     "{} of {} with the other sign": ((OF_MACHINES, "test_a_tool_with_the_wrong_sign_is_refused"), SOUND),
+    "{} {} times {}": (
+        (MISTAKES, "test_rows_in_another_unit_are_named"),
+        ("tasks/calibrate_machine/test_channels.py", "test_a_line_with_large_errors_is_in_no_other_unit")),
     "{}: read so, {}; write {}": (
         (OF_MACHINES, "test_a_wrong_setting_makes_the_result_doubtful"), SOUND),
     "; they fit {}: correct the name": (

@@ -14,12 +14,12 @@ import numpy as np
 from metrocli.arrays import Array, Index
 from metrocli.diagnosis.corrections import Mistake, size_of_unit
 from metrocli.errors import MetrocliError
-from metrocli.instruments.tracker import DISTANCE
+from metrocli.instruments.tracker import AZIMUTH, DISTANCE, ELEVATION
 from metrocli.table import Table
 from metrocli.tasks.adjust_network.readings import NetworkReadings, read
 from metrocli.tasks.adjust_network.settings import Files, Settings
 from metrocli.tasks.adjust_network.starts.agreement import NetworkStart, disagreement, list_offset, medians, placed
-from metrocli.tasks.adjust_network.starts.conventions import other_conventions
+from metrocli.tasks.adjust_network.starts.conventions import in_units, other_conventions
 from metrocli.tasks.adjust_network.starts.search import start
 from metrocli.tasks.job import Job
 from metrocli.words import in_a_row, listed
@@ -196,18 +196,24 @@ def _conventions(job: Job[Settings, Files], readings: NetworkReadings) -> Iterat
     """Yield stations whose angles or distances are of another sort than those of the others."""
     table = job.files.sightings
     columns = [next((name for name in names if name in table), "") for names in (("az", "hz"), ("el", "zd"), ("d",))]
-    sizes = [size_of_unit(table, name) if name else 1.0 for name in columns]
-    for stations, convention in other_conventions(readings, "zd" in table, sizes):
+    sizes = [size_of_unit(table, name) if name else 0.0 for name in columns]
+    units = [
+        convention
+        for components in ((AZIMUTH, ELEVATION), (AZIMUTH,), (ELEVATION,), (DISTANCE,))
+        if len(size := {sizes[component] for component in components}) == 1 and all(size)
+        for convention in in_units(components, *size)
+    ]
+    for stations, convention in other_conventions(readings, "zd" in table, units):
         names = [readings.stations.names[station] for station in stations]
         here = np.isin(table.texts("station"), names)
-        column = columns[convention.component]
-        values = convention.read(table.numbers(column))
-        what = f"{column} of {in_a_row(names)}"
+        own = [columns[component] for component in convention.components]
+        what = f"{in_a_row(own)} of {in_a_row(names)}"
         mistake = Mistake(
             "readings", f"{what} {convention.words}", f"{what} {convention.write}", convention.shrinks,
             file=table.file, sort="conventions", columns=0,
         )  # fmt: skip
-        yield _with(job, mistake, {column: np.where(here, values, table.numbers(column))})
+        changed = {name: np.where(here, convention.read(table.numbers(name)), table.numbers(name)) for name in own}
+        yield _with(job, mistake, changed)
 
 
 def _stations(job: Job[Settings, Files], readings: NetworkReadings) -> Iterator[_Other]:

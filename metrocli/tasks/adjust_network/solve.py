@@ -14,6 +14,7 @@ from metrocli.adjust.robust import critical_value, robust_start
 from metrocli.adjust.rounds import adjust_with_iterated_weights, in_rounds
 from metrocli.adjust.solution import Residuals, Solution, residuals_of
 from metrocli.arrays import Array, Index, Mask
+from metrocli.doubt import MANY_LEFT_OUT
 from metrocli.errors import NotConvergedError, UndeterminedError
 from metrocli.frozen import dataclass
 from metrocli.geometry import poses
@@ -279,7 +280,9 @@ def _must_be_determined(network: Network, solution: Solution, out: Sequence[Susp
         gone = [f"  Left out as wrong: {listed([suspect.name for suspect in out])}"] if out else []
         if have_one_cause(network.model.readings, out):
             gone.append("  So many have one cause: `metrocli diagnose` tries other units, signs and names")
-        raise UndeterminedError("\n".join([solution.outcome.value, *lines, *gone, *_cures(solution)]), solution.misfit)
+        # what is left fits: those that were left out contradict it
+        misfit = np.inf if len(out) >= MANY_LEFT_OUT else solution.misfit
+        raise UndeterminedError("\n".join([solution.outcome.value, *lines, *gone, *_cures(solution)]), misfit)
     if not solution.outcome.good:
         message = f"{solution.outcome.value} ({solution.iterations} steps)"
         raise NotConvergedError(message + sightings_to_blame(network), solution.misfit)

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from metrocli.arrays import Array
-from metrocli.diagnosis.corrections import Mistake
+from metrocli.diagnosis.corrections import Mistake, other_columns, other_scales
 from metrocli.instruments.machine import ANGLES, AXES, axis_order
 from metrocli.instruments.six_dof import CHANNELS
 from metrocli.tasks.calibrate_machine.files import Files
@@ -60,7 +60,7 @@ def _zenith(job: Job[Settings, Files]) -> Iterator[tuple[Mistake, Job[Settings, 
 
 
 def _channels(job: Job[Settings, Files]) -> Iterator[tuple[Mistake, Job[Settings, Files]]]:
-    """Yield channels of six-dof lines with the other sign, in all lines or in one, and two that are exchanged."""
+    """Yield channels of six-dof lines in another unit or with the other sign, in all or in one, and exchanged ones."""
     lines = job.files.lines
     if lines is None or any(channel not in lines for channel in CHANNELS):
         return
@@ -72,7 +72,12 @@ def _channels(job: Job[Settings, Files]) -> Iterator[tuple[Mistake, Job[Settings
         table = replace(lines, columns={**lines.columns, **changed})
         return mistake, replace(job, files=replace(job.files, lines=table))
 
-    for some in (*((channel,) for channel in CHANNELS), *kinds):
+    single = tuple((channel,) for channel in CHANNELS)
+    columns = (*other_columns("lines", lines, kinds[0]), *other_columns("lines", lines, kinds[1]))
+    for mistake, table in (*columns, *other_scales("lines", lines, (("position",), *kinds, *single))):
+        # of one sort with the signs: the median of all channels fits whatever one of them is
+        yield replace(mistake, sort="channels"), replace(job, files=replace(job.files, lines=table))
+    for some in (*single, *kinds):
         names = in_a_row(some)
         signs = "has the wrong sign" if len(some) == 1 else "have the wrong signs"
         yield other(f"{names} {signs}", f"{names} with the other sign", {c: -values[c] for c in some}, len(some))

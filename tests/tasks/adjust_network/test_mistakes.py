@@ -215,12 +215,77 @@ def test_the_stations_with_distances_in_metres_are_named(
 
 
 def test_a_station_that_is_left_out_as_wrong_has_one_cause(tmp_path: Path, metrocli: Metrocli) -> None:
-    """A quarter of all readings, but all distances of a station: 72 names had stood there, and no cause."""
-    net = network(np.random.default_rng(61), 4, 12, faces=2)
-    seen = net.seen.copy()
-    seen[net.station == 2, 2] /= 1000
+    """A quarter of all readings, but all of a station: 72 names had stood there, and no cause."""
+    rng = np.random.default_rng(61)
+    net = network(rng, 4, 12, faces=2)
+    seen, here = net.seen.copy(), net.station == 2
+    seen[here] = [1.0, 0.5, 2000.0] * rng.uniform(0.2, 1.0, (int(here.sum()), 3))
     ran = metrocli("adjust-network", replace(net, seen=seen).write(tmp_path, more="outliers: remove\n"))
     assert ran.code == 4 and "So many have one cause: `metrocli diagnose` tries other units" in ran.err, ran.err
+
+
+def other(net: Network, station: int, columns: list[int], factor: float) -> Network:
+    seen, here = net.seen.copy(), net.station == station
+    seen[np.ix_(here, columns)] *= factor
+    return replace(net, seen=seen)
+
+
+def of_stations(net: Network, folder: Path, header: str = "az_rad,el_rad,d_mm") -> list[str]:
+    job = content(load(net.write(folder, header=header)))
+    return [mistake.words for mistake, _ in other_settings(job, False) if " of S" in mistake.words]
+
+
+def test_a_station_of_which_all_distances_are_left_out_is_named(tmp_path: Path, metrocli: Metrocli) -> None:
+    """It was "the data cannot determine the unknowns", with the distances that were left out."""
+    metrocli("init", tmp_path / "p", "--sample", "hall-trackers")
+    file, job = tmp_path / "p" / "data" / "readings.csv", tmp_path / "p" / "jobs" / "hall.yaml"
+    head, *lines = file.read_text().splitlines()
+    at = head.split(",").index("d_mm")
+    cells = [line.split(",") for line in lines]
+    wrong = [[*c[:at], f"{float(c[at]) / 1000:.9f}", *c[at + 1 :]] if c[0] == "S4" else c for c in cells]
+    file.write_text("\n".join([head, *map(",".join, wrong)]) + "\n")
+    job.write_text(f"{job.read_text()}outliers: remove\n")
+    ran = metrocli("adjust-network", job)
+    assert ran.code == 3 and "write d of S4 times 1000" in ran.err, ran.err
+
+
+def test_both_angles_of_a_station_in_gon_are_one_mistake(tmp_path: Path) -> None:
+    net = network(np.random.default_rng(66), 4, 14)
+    in_degrees = replace(net, seen=np.column_stack([np.degrees(net.seen[:, :2]), net.seen[:, 2]]))
+    found = of_stations(other(in_degrees, 2, [0, 1], 1 / 0.9), tmp_path, "az_deg,el_deg,d_mm")
+    assert found == ["az and el of S3 are in gon"]
+
+
+def test_a_station_in_mm_under_a_heading_in_m_is_in_mm(tmp_path: Path) -> None:
+    """It was in um."""
+    net = network(np.random.default_rng(67), 4, 14)
+    in_metres = replace(net, seen=net.seen / [1, 1, 1000])
+    assert of_stations(other(in_metres, 1, [2], 1000.0), tmp_path, "az_rad,el_rad,d_m") == ["d of S2 is in mm"]
+
+
+def test_stations_in_a_row_that_share_points_with_their_neighbours_alone(tmp_path: Path) -> None:
+    """Nothing was named: no station shares points with all others."""
+    net = network(np.random.default_rng(68), 6, 36)
+    near = (net.point // 6 >= net.station - 1) & (net.point // 6 <= net.station)
+    row = replace(net, station=net.station[near], point=net.point[near], face=net.face[near], seen=net.seen[near])
+    assert of_stations(other(row, 2, [2], 1e-3), tmp_path) == ["d of S3 is in m"]
+    assert not of_stations(row, tmp_path)
+
+
+def test_distances_to_points_in_a_plane_have_a_unit_too(tmp_path: Path) -> None:
+    net = network(np.random.default_rng(63), 3, 14)
+    flat = net.points * [1.0, 1.0, 0.0] + [0.0, 0.0, 1200.0]
+    away = np.einsum("nab,na->nb", net.rotations[net.station], flat[net.point] - net.places[net.station])
+    assert of_stations(other(replace(net, points=flat, seen=polar(away)), 1, [2], 1e-3), tmp_path) == [
+        "d of S2 is in m"
+    ]
+
+
+def test_a_station_that_moved_is_of_no_other_sort(tmp_path: Path) -> None:
+    net = network(np.random.default_rng(69), 4, 14)
+    seen, late = net.seen.copy(), np.flatnonzero(net.station == 1)[7:]
+    seen[late] += [0.05, 0.0, 30.0]
+    assert not of_stations(replace(net, seen=seen), tmp_path)
 
 
 def test_a_levelled_station_has_no_elevations_of_the_wrong_sign(tmp_path: Path) -> None:

@@ -55,6 +55,57 @@ def test_a_wrong_sign_is_named(
     assert not any(other in ran.out + ran.err for other in others if other != words)
 
 
+def scaled(factor: float, *columns: str, line: str = "") -> Edit:
+    return lambda row: row | {c: f"{factor * float(row[c]):.9g}" for c in columns if line in ("", row["line"])}
+
+
+LINE_UNITS = {
+    "a column in its heading": (
+        lambda row: {"ex_m" if name == "ex_mm" else name: value for name, value in row.items()},
+        "ex_m is in mm", "ex_mm in the heading",
+    ),
+    "one channel of a line": (scaled(1e3, "ex_mm", line="x"), "ex_mm of line x is in um", "ex_mm of line x times 0.001"),
+    "lengths of a line": (
+        scaled(1e3, "ex_mm", "ey_mm", "ez_mm", line="y"),
+        "ex_mm, ey_mm and ez_mm of line y are in um", "ex_mm, ey_mm and ez_mm of line y times 0.001",
+    ),
+    "angles of a line": (
+        scaled(1e3, "ea_rad", "eb_rad", "ec_rad", line="xz"),
+        "ea_rad, eb_rad and ec_rad of line xz are in mrad", "ea_rad, eb_rad and ec_rad of line xz times 0.001",
+    ),
+    "positions of a line": (
+        scaled(1e-3, "position_mm", line="x"), "position_mm of line x is in m", "position_mm of line x times 1000",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("outliers", ["report", "remove"])
+@pytest.mark.parametrize("case", LINE_UNITS)
+def test_another_unit_is_named_by_its_line(case: str, outliers: str, job: Path, metrocli: Metrocli) -> None:
+    """It was doubtful without a cause, or refused: "measure lines in other directions", "the order of the axes"."""
+    edit, words, write = LINE_UNITS[case]
+    edited(job, edit, outliers)
+    ran = metrocli("calibrate-machine", job)
+    assert ran.code == (6 if outliers == "report" else 3), ran.err
+    assert words in ran.out + ran.err and f"write {write}" in ran.out + ran.err
+    assert "are swapped" not in ran.out + ran.err and "order of the axes" not in ran.out + ran.err
+
+
+def test_a_line_in_another_unit_is_diagnosed(job: Path, metrocli: Metrocli) -> None:
+    """It was "clean, with 19 wrong readings"."""
+    edited(job, scaled(1e3, "ex_mm", line="x"))
+    ran = metrocli("diagnose", job)
+    assert "ex_mm of line x is in um" in ran.out and "wrong readings" not in ran.out
+
+
+def test_a_line_with_large_errors_is_in_no_other_unit(job: Path, metrocli: Metrocli) -> None:
+    """Numbers that are made smaller have smaller residuals, whatever is wrong with them."""
+    noise = iter(range(1000))
+    edited(job, lambda row: row | ({"ex_mm": str(0.5 * (-1) ** next(noise))} if row["line"] == "x" else {}))
+    ran = metrocli("calibrate-machine", job)
+    assert ran.code == 6 and "of line x is in" not in ran.out + ran.err
+
+
 def test_two_channels_that_are_exchanged_are_named(job: Path, metrocli: Metrocli) -> None:
     edited(job, lambda row: row | {"ey_mm": row["ez_mm"], "ez_mm": row["ey_mm"]})
     ran = metrocli("calibrate-machine", job)

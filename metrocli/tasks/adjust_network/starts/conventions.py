@@ -7,6 +7,8 @@ right one makes its figure congruent with theirs.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+from itertools import combinations
 
 import numpy as np
 
@@ -18,24 +20,26 @@ from metrocli.tasks.adjust_network.readings import NetworkReadings
 from metrocli.tasks.adjust_network.starts.agreement import fitted, medians
 from metrocli.units import INCH, find_unit
 
-_FEWEST = 5
-"""Points that two stations share, at least: among fewer a single wrong reading decides"""
-_CONGRUENT = 2e-3
-"""Share of the extent of two figures, by which half of the points differ at most where they are congruent"""
-_IN_SPACE = 0.02
-"""Share of its longest extent that a figure has in each direction: one in a plane is its own mirror image"""
 _SAME = 1e-9
 """Relative difference of the sizes of two units that are one"""
+_FEWEST = 5
+"""Points that two stations share, at least: among fewer a single wrong reading decides"""
+_MOST_POINTS, _MOST_STATIONS = 200, 3
+"""Points that are compared of two stations, and stations with which one is compared by other conventions"""
+_CONGRUENT = 2e-3
+"""Share of the extent of the smaller figure, by which half of the points differ at most where two are congruent"""
+_RIGHT_LENGTHS = 0.2
+"""Share of the lengths between points that agree at least in congruent figures"""
 
 
 @dataclass(frozen=True)
 class Convention:
-    """A usual way to state a quantity of a sighting, which is not that of the heading."""
+    """A usual way to state quantities of a sighting, which is not that of the heading."""
 
-    component: int
+    components: tuple[int, ...]
     words: str
     write: str
-    """What to do with the numbers of the column"""
+    """What to do with the numbers of the columns"""
     read: Callable[[Array], Array]
     """The numbers as they should be, of those that were read"""
     shrinks: float = 1.0
@@ -44,102 +48,116 @@ class Convention:
     @property
     def is_length(self) -> bool:
         """Whether it is of distances."""
-        return self.component == DISTANCE
+        return self.components == (DISTANCE,)
 
 
 def _from_the_zenith(angles: Array) -> Array:
     return np.asarray(np.pi / 2 - angles)
 
 
-def _in_unit(component: int, unit: str, factor: float) -> Convention:
-    shrinks = min(factor, 1.0) if component == DISTANCE else 1.0
-    return Convention(component, f"is in {unit}", f"times {factor:.10g}", lambda values: factor * values, shrinks)
-
-
 _ANGLES = {unit: find_unit(unit, "angle").inside(1.0) for unit in ("gon", "deg", "rad")}
 _LENGTHS = {unit: find_unit(unit, "length").inside(1.0) for unit in ("m", "mm", "cm", "ft")} | {"inches": INCH}
-_OTHER_WAY = Convention(AZIMUTH, "counts the other way", "with the other sign", np.negative)
+
+
+def in_units(components: tuple[int, ...], size: float) -> Iterator[Convention]:
+    """Yield the conventions of quantities in other units than that of their heading, of a size [rad or mm]."""
+    verb = "are" if components[1:] else "is"
+    for unit, own in (_LENGTHS if components == (DISTANCE,) else _ANGLES).items():
+        factor = own / size
+        if abs(factor - 1) > _SAME:
+            shrinks = min(factor, 1.0) if components == (DISTANCE,) else 1.0
+            read = partial(np.multiply, factor)
+            yield Convention(components, f"{verb} in {unit}", f"times {factor:.10g}", read, shrinks)
+
+
+_EITHER = (Convention((AZIMUTH,), "counts the other way", "with the other sign", np.negative),)
+_AS_READ = Convention((), "", "", np.positive)
 _OF_ELEVATIONS = (
-    Convention(ELEVATION, "has the wrong sign", "with the other sign", np.negative),
-    Convention(ELEVATION, "is a zenith distance", "as 90 deg minus it", _from_the_zenith),
+    Convention((ELEVATION,), "has the wrong sign", "with the other sign", np.negative),
+    Convention((ELEVATION,), "is a zenith distance", "as 90 deg minus it", _from_the_zenith),
 )
-_OF_ZENITH_DISTANCES = (Convention(ELEVATION, "is an elevation", "as 90 deg minus it", _from_the_zenith),)
+_OF_ZENITH_DISTANCES = (Convention((ELEVATION,), "is an elevation", "as 90 deg minus it", _from_the_zenith),)
 
 
 def other_conventions(
-    readings: NetworkReadings, zenith: bool, sizes: Sequence[float]
+    readings: NetworkReadings, zenith: bool, units: Sequence[Convention]
 ) -> Iterator[tuple[tuple[int, ...], Convention]]:
     """Yield stations with a convention by which they see what the majority sees; of two halves, each beside the other.
 
-    Where distances are in two units, the majority beside all others is yielded, too. `zenith` if the readings have
-    zenith distances, to which a convention then applies. `sizes` are those of the units in the headings, one for each
-    component [rad, rad, mm]. Nothing is yielded where none makes all stations agree.
+    `zenith` if the readings have zenith distances, to which a convention then applies. `units` are the conventions in
+    other units. Where distances are in two units, the majority beside all others is yielded, too. Stations that share
+    too few points with the others are left as they are.
     """
-    conventions = (_OTHER_WAY, *_other_units(sizes), *(_OF_ZENITH_DISTANCES if zenith else _OF_ELEVATIONS))
     figures = _Figures(readings, zenith)
-    alike = [figures.like(station) for station in figures.stations]
-    most, groups = max(map(len, alike), default=0), dict.fromkeys(map(tuple, alike))
+    groups = figures.groups()
+    most = max(map(len, groups), default=0)
+    if most == 1 < len(groups) - 1:  # none of several agrees with another: nothing shows which are right
+        return
+    every = (*_EITHER, *units, *(_OF_ZENITH_DISTANCES if zenith else _OF_ELEVATIONS))
     for group in groups:
-        others = tuple(station for station in figures.stations if station not in group)
+        others = [station for station in figures.stations if station not in group]
         # mirror images do not show which is right, but a unit in use does: the majority may have the wrong one
-        tried = [
-            one for one in conventions if len(group) == most or (groups.keys() == {group, others} and one.is_length)
-        ]
-        for convention in tried if others else ():
-            if all(figures.agrees(station, group, convention) for station in others):
-                yield others, convention
-
-
-def _other_units(sizes: Sequence[float]) -> Iterator[Convention]:
-    for component, units in ((AZIMUTH, _ANGLES), (ELEVATION, _ANGLES), (DISTANCE, _LENGTHS)):
-        factors = {unit: size / sizes[component] for unit, size in units.items()}
-        yield from (_in_unit(component, unit, factor) for unit, factor in factors.items() if abs(factor - 1) > _SAME)
+        of_most = len(group) == most
+        for convention in (one for one in every if of_most or (one.is_length and len(groups) == 2)):
+            agreeing = tuple(station for station in others if figures.agrees(station, group, convention))
+            if agreeing:
+                yield agreeing, convention
 
 
 class _Figures:
-    """The points as each station sees them."""
+    """The points as each station sees them, in its round with the most sightings."""
 
     def __init__(self, readings: NetworkReadings, zenith: bool) -> None:
         self._readings, self._zenith = readings, zenith
-        rows: Index = np.flatnonzero(np.isfinite(readings.sightings.values).all(axis=0))
-        station = readings.sightings.station[rows]
-        order = np.argsort(station, kind="stable")
-        parts = np.split(order, np.flatnonzero(np.diff(station[order])) + 1) if len(rows) else []
-        self._rows_of = {int(station[part[0]]): rows[part] for part in parts}
-        self.stations = [number for number, own in self._rows_of.items() if len(own) >= _FEWEST]
+        seen = readings.sightings
+        rows: Index = np.flatnonzero(np.isfinite(seen.values).all(axis=0))
+        order = rows[np.argsort(seen.orientation[rows], kind="stable")]
+        parts = np.split(order, np.flatnonzero(np.diff(seen.orientation[order])) + 1) if len(order) else []
+        # azimuths of two rounds have two zeros
+        self._rows_of = {int(seen.station[part[0]]): part for part in sorted(parts, key=len) if len(part) >= _FEWEST}
+        self.stations = sorted(self._rows_of)
         self._own = {number: self._figure(number) for number in self.stations}
 
-    def _figure(self, station: int, convention: Convention | None = None) -> Array:
+    def _figure(self, station: int, convention: Convention = _AS_READ) -> Array:
         """Return where a station sees each point, (points, 3), nan where it does not."""
         seen, rows = self._readings.sightings, self._rows_of[station]
         values = seen.values[:, rows].copy()
-        if convention is not None:
-            own = values[convention.component]
-            turned = self._zenith and convention.component == ELEVATION
-            values[convention.component] = (
+        for component in convention.components:
+            own, turned = values[component], self._zenith and component == ELEVATION
+            values[component] = (
                 _from_the_zenith(convention.read(_from_the_zenith(own))) if turned else convention.read(own)
             )
-        return medians(cartesian(values)[0].T, seen.point[rows], self._readings.points.count)
+        local = cartesian(values)[0].T
+        local[:, 2] -= seen.height[rows] + np.nan_to_num(self._readings.setups[1][seen.setup[rows]])
+        return medians(local, seen.point[rows], self._readings.points.count)
 
-    def like(self, station: int) -> list[int]:
-        """Return the stations whose figures are congruent with that of one, with this one."""
-        own = self._own[station]
-        return [other for other in self.stations if other == station or self._congruent(own, self._own[other])]
+    def groups(self) -> list[list[int]]:
+        """Return the stations in groups whose figures are congruent, also by way of a third one."""
+        group = {station: [station] for station in self.stations}
+        for one, other in combinations(self.stations, 2):
+            if group[one] is not group[other] and self._congruent(self._own[one], one, other):
+                group[one] += group[other]
+                group |= dict.fromkeys(group[other], group[one])
+        return list({id(stations): stations for stations in group.values()}.values())
 
-    def agrees(self, station: int, group: tuple[int, ...], convention: Convention) -> bool:
-        """Return whether a station agrees by a convention with one of a group that shares enough points with it."""
+    def agrees(self, station: int, group: Sequence[int], convention: Convention) -> bool:
+        """Return whether a station agrees by a convention with one of those of a group that share most points."""
         own = self._figure(station, convention)
-        return any(self._congruent(own, self._own[other], other, station) for other in group)
+        sharing = sorted(group, key=lambda other: -int(np.isfinite(own + self._own[other]).all(axis=1).sum()))
+        return any(self._congruent(own, station, other) for other in sharing[:_MOST_STATIONS])
 
-    def _congruent(self, one: Array, other: Array, *stations: int) -> bool:
-        """Return whether two figures are congruent: by a turn about the vertical if both `stations` are levelled."""
-        shared = np.isfinite(one).all(axis=1) & np.isfinite(other).all(axis=1)
-        if shared.sum() < _FEWEST:
+    def _congruent(self, own: Array, station: int, other: int) -> bool:
+        shared = np.flatnonzero(np.isfinite(own + self._own[other]).all(axis=1))
+        if len(shared) < _FEWEST:
             return False
-        x, y = one[shared], other[shared]
-        spread = np.linalg.svd(y - y.mean(axis=0), compute_uv=False)
-        level = len(stations) > 1 and all(self._readings.of(station).is_levelled for station in stations)
-        if spread[-1] < _IN_SPACE * spread[0]:
+        some = shared[:: -(-len(shared) // _MOST_POINTS)]
+        x, y = own[some], self._own[other][some]
+        bound = _CONGRUENT * min(np.ptp(x, axis=0).max(), np.ptp(y, axis=0).max())
+        # lengths between points need no fit, and rule out nearly all: where half of the points are right, so is a
+        # quarter of the lengths
+        lengths = [np.linalg.norm(each - np.roll(each, 1, axis=0), axis=1) for each in (x, y)]
+        if np.quantile(np.abs(lengths[0] - lengths[1]), _RIGHT_LENGTHS) > 2 * bound:
             return False
+        level = self._readings.of(station).is_levelled and self._readings.of(other).is_levelled
         miss = np.linalg.norm(poses.apply(fitted(x, y, level), x) - y, axis=1)
-        return bool(np.median(miss) < _CONGRUENT * np.ptp(y, axis=0).max())
+        return bool(np.median(miss) < bound)
