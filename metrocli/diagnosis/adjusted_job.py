@@ -185,6 +185,13 @@ class AdjustedJob:
         return REPORTED[self.model.readings[0].observations.unit_of_each[0]]
 
     @property
+    def reach(self) -> float:
+        """Median of the distances that were read [mm], nan without any."""
+        groups = [group.observations for group in self.model.readings]
+        read = [np.abs(group.readings[0]) for group in groups if group.unit_of_each == ("mm",)]
+        return float(np.median(np.concatenate(read))) if read else math.nan
+
+    @property
     def smooth_covariates(self) -> list[Covariate]:
         """The covariates with which errors of all readings may vary smoothly: each group of readings has them."""
         names = [group.name for group in self.model.readings]
@@ -209,6 +216,8 @@ class Misfit:
     """Root mean square residual, in declared standard deviations"""
     left_out: int = 0
     """Readings left out as outliers"""
+    reach: float = math.nan
+    """Median of the distances that were read [mm]"""
 
     @property
     def worst(self) -> float:
@@ -239,7 +248,9 @@ def misfit_of(job: AdjustedJob) -> Misfit:
     # the median, and the worst group: some wrong readings make no file wrong, but one group in a wrong unit does
     medians = [float(np.median(np.abs(values))) for values in whitened]
     spreads = [float(np.sqrt(np.mean(values**2))) for values in whitened]
-    return Misfit(max(medians, default=0.0) / ABSURD, job.list_offset, max(spreads, default=0.0), job.left_out)
+    return Misfit(
+        max(medians, default=0.0) / ABSURD, job.list_offset, max(spreads, default=0.0), job.left_out, job.reach
+    )
 
 
 def _whitened(group: Group, job: AdjustedJob) -> np.typing.NDArray[np.float64]:

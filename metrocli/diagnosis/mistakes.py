@@ -28,6 +28,8 @@ _FITS = 0.3
 """Where the file as it stands has no solution, another reading must be so near the plausible: residuals of 3 sigma"""
 _SUSPECT_PLACES = 0.2
 """Share of the implausible distance of places from their lists above which other readings of the files are tried"""
+_USUAL = 10.0, 2e5
+"""Distances of instruments of this program [mm]; those of readings of another sort are unusual in every unit"""
 Adjust = Callable[[Inputs], AdjustedJob]
 T = TypeVar("T", AdjustedJob, Misfit)
 
@@ -162,7 +164,8 @@ def misread(
 def _as_good(tried: list[tuple[float, Mistake, T]]) -> list[tuple[float, Mistake, T]]:
     """Return the mistakes that explain a job about as well as the best one, the likeliest first.
 
-    Metres or inches under a heading in mm are likelier than um; then few columns are likelier than many.
+    Distances of a usual size are likelier than others, metres or inches under a heading in mm than um, and few columns
+    than many.
     """
     # what a wrong correction leaves out as outliers no longer contradicts it
     fewest = min(trial[2].left_out for trial in tried)
@@ -170,7 +173,10 @@ def _as_good(tried: list[tuple[float, Mistake, T]]) -> list[tuple[float, Mistake
     best = min(value for value, _, _ in tried)
     # residuals below 2 sigma all fit, and which of them fit best is chance
     alike = [trial for trial in tried if trial[0] <= max(_AS_GOOD * best, _AS_GOOD / ABSURD)]
-    return sorted(alike, key=lambda trial: (-trial[1].shrinks, trial[1].columns, trial[0]))
+    near, far = _USUAL
+    unusual = [not near <= trial[2].reach <= far for trial in alike]
+    order = sorted(zip(unusual, alike, strict=True), key=lambda t: (t[0], -t[1][1].shrinks, t[1][1].columns, t[1][0]))
+    return [trial for _, trial in order]
 
 
 def _unexplained(failure: MetrocliError) -> bool:

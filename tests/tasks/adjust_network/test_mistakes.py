@@ -103,7 +103,6 @@ def test_nothing_is_proposed_for_readings_that_fit(tmp_path: Path) -> None:
     assert list(other_settings(job, True)) == []
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("header", "words"),
     [("az_rad,zd_rad,d_mm", "zd is an elevation"), ("az_rad,el_rad,d_m", "d_m is in mm")],
