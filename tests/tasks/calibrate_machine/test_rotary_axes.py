@@ -305,4 +305,4 @@ def test_a_wrong_sense_is_named_by_lengths_too(tmp_path: Path, metrocli: Callabl
     ran = metrocli("calibrate-machine", counting_backwards(tmp_path))
     assert ran.code == 3
     # y with the other sign is as good where C alone turns
-    assert "machine.axes.c.sense: C counts the other way" in ran.err
+    assert "machine.axes.c.sense: error: C counts the other way" in ran.err and "y has the wrong sign" in ran.err
