@@ -29,6 +29,8 @@ from metrocli.words import in_a_row
 
 _VAGUE = 1.0
 """Standard uncertainty of tool vectors that are not as listed [mm]"""
+_MOST_POSES, _MOST_LINES = 2_000, 12
+"""Poses of six-dof up to which channels are tried, and lines up to which each is: every trial is an adjustment"""
 _Other = tuple[Mistake, MachineSettings]
 
 
@@ -62,7 +64,7 @@ def _zenith(job: Job[Settings, Files]) -> Iterator[tuple[Mistake, Job[Settings, 
 def _channels(job: Job[Settings, Files]) -> Iterator[tuple[Mistake, Job[Settings, Files]]]:
     """Yield channels of six-dof lines in another unit or with the other sign, in all or in one, and exchanged ones."""
     lines = job.files.lines
-    if lines is None or any(channel not in lines for channel in CHANNELS):
+    if lines is None or any(channel not in lines for channel in CHANNELS) or len(lines) > _MOST_POSES:
         return
     values = {channel: lines.numbers(channel) for channel in CHANNELS}
     kinds, named = (CHANNELS[:3], CHANNELS[3:]), np.array(lines.texts("line"))
@@ -74,7 +76,10 @@ def _channels(job: Job[Settings, Files]) -> Iterator[tuple[Mistake, Job[Settings
 
     single = tuple((channel,) for channel in CHANNELS)
     columns = (*other_columns("lines", lines, kinds[0]), *other_columns("lines", lines, kinds[1]))
-    for mistake, table in (*columns, *other_scales("lines", lines, (("position",), *kinds, *single))):
+    single_lines = list(dict.fromkeys(named))
+    few = len(single_lines) <= _MOST_LINES
+    scales = other_scales("lines", lines, (("position",), *kinds, *single)) if few else ()
+    for mistake, table in (*columns, *scales):
         # of one sort with the signs: the median of all channels fits whatever one of them is
         yield replace(mistake, sort="channels"), replace(job, files=replace(job.files, lines=table))
     for some in (*single, *kinds):
@@ -82,7 +87,7 @@ def _channels(job: Job[Settings, Files]) -> Iterator[tuple[Mistake, Job[Settings
         signs = "has the wrong sign" if len(some) == 1 else "have the wrong signs"
         yield other(f"{names} {signs}", f"{names} with the other sign", {c: -values[c] for c in some}, len(some))
     for channel in CHANNELS:
-        for line in dict.fromkeys(named):
+        for line in single_lines if few else ():
             flipped = np.where(named == line, -values[channel], values[channel])
             of_line = f"{channel} of line {line}"
             yield other(f"{of_line} has the wrong sign", f"{of_line} with the other sign", {channel: flipped})

@@ -10,6 +10,10 @@ from typing import Any
 
 import pytest
 
+from metrocli.project.job import load
+from metrocli.project.runner import content
+from metrocli.tasks.calibrate_machine.other_settings import other_settings
+
 Metrocli = Callable[..., Any]
 Edit = Callable[[dict[str, str]], dict[str, str]]
 
@@ -143,3 +147,23 @@ def test_wrong_readings_are_no_wrong_sign(job: Path, metrocli: Metrocli) -> None
     edited(job, edit, "remove")
     ran = metrocli("calibrate-machine", job)
     assert ran.code == 0 and "wrong sign" not in ran.out
+
+
+def scaled(row: dict[str, str], copy: int) -> dict[str, float]:
+    return {name: float(row[name]) * (1 + 0.1 * copy) for name in row if name[0] == "e"}
+
+
+def test_of_many_lines_no_single_one_is_tried(job: Path) -> None:
+    """Every trial is an adjustment: of sixty lines they took two minutes."""
+    file = job.parents[1] / "data" / "lines.csv"
+    rows = list(csv.DictReader(file.read_text().splitlines()))
+    for copies, tried in ((2, True), (3, False)):
+        with file.open("w", newline="") as target:
+            writer = csv.DictWriter(target, list(rows[0]))
+            writer.writeheader()
+            writer.writerows(
+                {**row, "line": f"{row['line']}{n}", "t_s": 0} | scaled(row, n) for n in range(copies) for row in rows
+            )
+        words = [mistake.words for mistake, _ in other_settings(content(load(job)), False)]
+        assert any(" of line " in one for one in words) == tried
+        assert "ex has the wrong sign" in words
