@@ -149,7 +149,7 @@ def test_wrong_readings_are_no_wrong_sign(job: Path, metrocli: Metrocli) -> None
     assert ran.code == 0 and "wrong sign" not in ran.out
 
 
-def scaled(row: dict[str, str], copy: int) -> dict[str, float]:
+def larger(row: dict[str, str], copy: int) -> dict[str, float]:
     return {name: float(row[name]) * (1 + 0.1 * copy) for name in row if name[0] == "e"}
 
 
@@ -162,7 +162,7 @@ def test_of_many_lines_no_single_one_is_tried(job: Path) -> None:
             writer = csv.DictWriter(target, list(rows[0]))
             writer.writeheader()
             writer.writerows(
-                {**row, "line": f"{row['line']}{n}", "t_s": 0} | scaled(row, n) for n in range(copies) for row in rows
+                {**row, "line": f"{row['line']}{n}", "t_s": 0} | larger(row, n) for n in range(copies) for row in rows
             )
         words = [mistake.words for mistake, _ in other_settings(content(load(job)), False)]
         assert any(" of line " in one for one in words) == tried
