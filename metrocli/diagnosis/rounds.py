@@ -94,6 +94,15 @@ def is_overwhelmed(state: State) -> bool:
     return any(before > _DOMINANT * State.of(m, [*old, part]).variance for part in new)
 
 
+def _is_smoothed(state: State) -> bool:
+    """Return whether smooth errors explain most of the misfit, as they do where a large term of a lens is missing.
+
+    The job's own terms have bent to take the place of one whose signature about that solution is another.
+    """
+    m = state.measurement
+    return m.dof >= _MANY and State.of(m, state.named).variance > _DOMINANT * state.variance
+
+
 def _old_and_new(state: State) -> tuple[list[Fixed], list[Fixed]]:
     """Return the effects with which the unknowns are adjusted, and the others."""
     m = state.measurement
@@ -105,11 +114,14 @@ def _old_and_new(state: State) -> tuple[list[Fixed], list[Fixed]]:
 def _continued(state: State, m: Measurement) -> State:
     """Return a state in another linearisation: the search there goes on with what it has found in the first one.
 
-    It begins anew where the candidates are not the same, as after a scan whose best value was refined.
+    It begins anew where the candidates are not the same, as after a scan whose best value was refined: with the terms
+    of the job's own blocks with which that solution is adjusted.
     """
     noise, alike = state.measurement.noise, _candidates(state.measurement) == _candidates(m)
     if not alike:
-        return State.of(m)
+        terms = {(standing.effect.name, standing.instance) for standing in m.job.standing}
+        every = ((family, at) for family, one in enumerate(m.families) for at in range(len(one.alternatives)))
+        return pruned(State.of(m, [m.effect(*key) for key in every if m.alternative(key).spot in terms]))
     return pruned(_chosen_anew(state.at(with_noise(m, noise) if noise else m).settled()))
 
 
@@ -172,26 +184,29 @@ def _fits(job: AdjustedJob, state: State, gross: Gross | None, known: Gross) -> 
     to take the place of one that is missing: to first order about their solution another may explain more than it.
     """
     best = first = _Fit.of(job, state, gross, known)
-    for part in _old_and_new(state)[1] if gross is None else ():
-        if state.measurement.alternative(part.key).effect.link is None:
-            less = state.minus([part])
-            others = (_Fit.of(job, less.plus([rival]), gross, known) for rival in _terms_instead(less, part))
-            best = max([best, *others], key=lambda fit: fit.score)
+    new = _old_and_new(state)[1] if gross is None else ()
+    replaced = [part for part in new if state.measurement.alternative(part.key).effect.link is None]
+    trials = [(state.minus([part]), part.key) for part in replaced]
+    trials += [(state, None)] if gross is None and _is_smoothed(state) else []
+    for less, key in trials:
+        others = (_Fit.of(job, less.plus([rival]), gross, known) for rival in _terms_instead(less, key))
+        best = max([best, *others], key=lambda fit: fit.score)
     return [first] if best is first else [first, best]
 
 
-def _terms_instead(less: State, part: Fixed) -> list[Fixed]:
-    """Return the terms of a lens that explain much of what one of them does, the best first."""
+def _terms_instead(less: State, key: tuple[int, ...] | None) -> list[Fixed]:
+    """Return the terms of a lens that explain much of what one of them does, or the best one, the best first."""
     # without random effects: a smooth shift over the image would take what the terms differ in
     m, scored = less.measurement, list[tuple[float, int, int]]()
     alone = State.of(m, less.named)
     for family in range(len(m.families)):
         gain, price, _ = alone.gains_of_family(family)
         scored += [(float(net), family, at) for at, net in enumerate(gain - price)]
-    own = next(net for net, family, at in scored if (family, at) == part.key)
-    terms = ((family, at) for net, family, at in sorted(scored, reverse=True) if net > _RIVAL * own > 0)
-    others = (key for key in terms if m.alternative(key).effect.link is None and key != part.key)
-    return [m.effect(*key) for key in islice(others, _RIVALS)]
+    scored = [one for one in scored if m.alternative(one[1:]).effect.link is None]
+    own = max((net for net, *at in scored if key in (None, tuple(at))), default=0.0)
+    terms = (tuple(at) for net, *at in sorted(scored, reverse=True) if net > _RIVAL * own > 0)
+    taken = {part.key for part in less.named} | {key}
+    return [m.effect(*at) for at in islice((at for at in terms if at not in taken), _RIVALS)]
 
 
 def searched(job: AdjustedJob, quick: bool = False) -> tuple[State, State]:
@@ -226,10 +241,13 @@ def searched_from(job: AdjustedJob, begin: State, quick: bool, without: Sequence
         # not adjusted with effects whose sizes may be nothing: all else would be linearised about these sizes
         state = state if quick else surely(state)
         gross = None if known is None else known.beside(state)
-        if not left or (gross is None and not is_dominated(state)):
+        dominated = gross is not None or is_dominated(state)
+        if not left or not (dominated or _is_smoothed(state)):
             break
         known = gross or known
         fits = [fit for fit in _fits(job, state, gross, known or Gross({}, {})) if fit.job is not None]
+        if not dominated and len(fits) < 2:
+            break
         if not fits and known is not None and (known.readings or known.noise):
             # too few readings are left of something: from now on all of them take part
             known, begin = None, state

@@ -24,6 +24,8 @@ from metrocli.instruments.camera import LENS, TARGET
 from metrocli.tasks.shared.diagnosed import FOLDS
 from metrocli.tasks.shared.images.adjustment import IMAGES, AdjustedImages, held_in_the_middle
 
+_OF_TRIALS = StoppingRule(limit=200)
+"""An adjustment with terms that the readings show takes less than 100 steps; others may wander through thousands"""
 PLACE = "place in the image"
 
 
@@ -89,7 +91,7 @@ def refit(datum: Datum | None, size: tuple[int, int] | None = None) -> Callable[
         blocks = {name: _without_the_unread(block, indices) for name, block in model.blocks.items()}
 
         def from_blocks(start: Mapping[str, Block]) -> Solution:
-            return adjust(start.values(), groups, datum, StoppingRule())
+            return adjust(start.values(), groups, datum, _OF_TRIALS)
 
         near = from_blocks(blocks)
         if size is None or not any(extra.effect.link is None for extra in model.added):
