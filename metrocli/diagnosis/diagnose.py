@@ -25,12 +25,10 @@ from metrocli.diagnosis.evidence.scored import remade
 from metrocli.diagnosis.evidence.search import pruned
 from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.explanations import correlated_errors, noise_instead, random_effects, smooth, with_confirmed
-from metrocli.diagnosis.extended_fit import extended_fit, readings_kept, result_changes, sizes
+from metrocli.diagnosis.extended_fit import extended_fit, linear_change, readings_kept, result_changes, sizes
 from metrocli.diagnosis.findings import UNREACHED, Diagnosis, Finding, RemainingStructure, Unconfirmed
 from metrocli.diagnosis.laws.search import Law, stood_for, with_laws
 from metrocli.diagnosis.linear.memory import as_fits
-from metrocli.diagnosis.linear.projection import Linearised
-from metrocli.diagnosis.linear.signatures import signature
 from metrocli.diagnosis.noise import VarianceGroup, noise_of
 from metrocli.diagnosis.power.collinear import separations
 from metrocli.diagnosis.rounds import searched
@@ -90,6 +88,7 @@ def diagnose(
     correlated, scattered = correlated_errors(state), random_effects(state)
     parts: list[Fixed | Random] = [*state.named, *(part for part in state.random if part.kind == SCATTER)]
     whole = gain_of_parts(state, parts) if scattered else None
+    rivals = [(name.alternative, rival.alternative) for name in names for rival in name.rivals[:2]]
     noise = noise_of(
         float(state.residual @ state.residual) if not state.random else state.white_squares, state.noise_freedoms
     )
@@ -105,7 +104,7 @@ def diagnose(
         before=strongest(first),
         after=strongest(state),
         design=Detectability((), (), ()) if quick else design(state, noise.ratio, stood_for(laws)),
-        separate_by=_separate(state.measurement.job, names),
+        separate_by=separations(state.measurement.job, rivals),
         adjusts=fit is not None or not names,
         together=gained[-1] if len(names) > 1 else None,
         whole=whole,
@@ -181,7 +180,7 @@ def _findings(
     """Yield the findings of identified effects, the one with the largest held-out log score first."""
     m = state.measurement
     for name, gain, shift in sorted(named, key=lambda entry: -entry[1].log_score):
-        change = _linear_change(m.job, m.system, name) if shift is None else shift
+        change = linear_change(m.job, m.system, name) if shift is None else shift
         part = next(entry for entry in state.named if entry.key == name.key)
         instead = noise_instead(state, part)
         yield Finding(name, sizes(m.job, name), gain, change, _other_shape_from(state, name, noise), instead)
@@ -219,9 +218,10 @@ def _left(
     alike = [error for error in correlated if significant and error.is_in_unit_of(job.reading[1])]
     smooth = sum((error.std * error.visible) ** 2 for error in alike)
     in_one_unit = all(error in alike for error in significant)
-    misfit = gain.before**2 if gain is not None and gain.before and in_one_unit else None
-    # the most specific first
     law = next((law for law in laws if law.chosen), None)
+    something = law is not None or bool(state.unknown) or bool(significant)
+    misfit = _misfit(state, gain) if something and in_one_unit else None
+    # the most specific first
     if law is not None:
         names = dict.fromkeys(name for term in law.terms for name in term.form.variables)
         where = tuple(name for _, name in law.terms[0].spot.where)
@@ -239,10 +239,6 @@ def _left(
             unit,
         )
     if significant:
-        effects = [added for added in job.model.added if added.effect.name != CORRELATED_ERROR]
-        if gain is None and in_one_unit and len(effects) > len(job.standing):
-            # an extended job has its effects in the model: smooth errors are compared with the errors that it has left
-            misfit = gain_between(state, state).before ** 2
         best = min(significant, key=lambda error: error.log_level)
         names = dict.fromkeys(error.covariate for error in significant)
         return RemainingStructure(
@@ -259,6 +255,17 @@ def _left(
         unnamed = f"what held-out readings do not confirm ({', '.join(against)})"
         return RemainingStructure(level, (unnamed if against else UNREACHED,))
     return None
+
+
+def _misfit(state: State, gain: Gain | None) -> float | None:
+    """Return the squares of errors that what is left is compared with, those before all that is identified.
+
+    An extended job has its effects in the model: then it is compared with the errors that it has with them.
+    """
+    if gain is None:
+        effects = [added for added in state.measurement.job.model.added if added.effect.name != CORRELATED_ERROR]
+        gain = gain_between(state, state) if len(effects) > len(state.measurement.job.standing) else None
+    return gain.before**2 if gain is not None and gain.before else None
 
 
 def _shares(size: float, misfit: float | None, smooth: float) -> tuple[float | None, float]:
@@ -283,18 +290,3 @@ def what_can_be_seen(job: AdjustedJob) -> Detectability:
     m = measurement_of(as_fits(job))
     # residuals of 0: they would enter the noise, and the upper bounds of the candidates
     return design(State.of(replace(m, system=replace(m.system, residual=np.zeros(m.system.rows)))))
-
-
-def _linear_change(job: AdjustedJob, system: Linearised, name: IdentifiedEffect) -> float:
-    """Return the largest change of the delivered result by an effect, to first order."""
-    alternative = name.alternative
-    full = signature(job.model, system, alternative.effect, alternative.instance, dict(alternative.scanned))
-    change = (full @ name.values)[:, None]
-    shift = job.delivered.of(lambda block: system.shift(change, block, job.delivered.columns))
-    return float(np.sqrt((shift**2).sum(axis=(1, 2)).max(initial=0.0)))
-
-
-def _separate(job: AdjustedJob, names: Sequence[IdentifiedEffect]) -> tuple[str, ...]:
-    """Return, in words, what to measure to distinguish the identified effects from their best rivals."""
-    pairs = [(name.alternative, rival.alternative) for name in names for rival in name.rivals[:2]]
-    return tuple(dict.fromkeys(words for pair in separations(job, pairs) for words in pair)) if pairs else ()

@@ -16,6 +16,8 @@ from metrocli.diagnosis.adjusted_job import AdjustedJob, Standing
 from metrocli.diagnosis.evidence.identified import IdentifiedEffect
 from metrocli.diagnosis.evidence.measurement import Measurement
 from metrocli.diagnosis.evidence.parts import Fixed
+from metrocli.diagnosis.linear.projection import Linearised
+from metrocli.diagnosis.linear.signatures import signature
 from metrocli.effects.effect import Effect, Parameter
 from metrocli.effects.extension import with_effect, with_effect_everywhere
 from metrocli.effects.model import Added, Model
@@ -117,6 +119,15 @@ def result_change(job: AdjustedJob, other: AdjustedJob) -> float:
     before, after = job.model.blocks, other.model.blocks
     moved = job.delivered.of(lambda name: after[name].values[:, columns] - before[name].values[:, columns])
     return float(np.linalg.norm(moved, axis=1).max(initial=0.0))
+
+
+def linear_change(job: AdjustedJob, system: Linearised, name: IdentifiedEffect) -> float:
+    """Return the largest change of the delivered result by an effect, to first order."""
+    alternative = name.alternative
+    full = signature(job.model, system, alternative.effect, alternative.instance, dict(alternative.scanned))
+    change = (full @ name.values)[:, None]
+    shift = job.delivered.of(lambda block: system.shift(change, block, job.delivered.columns))
+    return float(np.sqrt((shift**2).sum(axis=(1, 2)).max(initial=0.0)))
 
 
 def result_changes(

@@ -12,7 +12,7 @@ from metrocli.adjust.clusters.robust import ESTIMATED, FEWEST, FROM_RESIDUALS, S
 from metrocli.diagnosis.correlated_error import CorrelatedError
 from metrocli.diagnosis.evidence.identified import IdentifiedEffect
 from metrocli.diagnosis.findings import Diagnosis, RandomEffect
-from metrocli.diagnosis.noise import DECLARED_SIGMA, VarianceGroup
+from metrocli.diagnosis.noise import AS_OTHERS, DECLARED_SIGMA, VarianceGroup
 from metrocli.effects.effect import Parameter
 from metrocli.effects.variance_groups import MOST, StatedVariance
 from metrocli.nodes import Node, node_of
@@ -81,14 +81,20 @@ def proposed_variances(diagnosis: Diagnosis) -> Sequence[VarianceGroup]:
 
 
 def proposed_noise(diagnosis: Diagnosis) -> str:
-    """Return the noise that the extended job takes, so that uncertainties include what is left; else ''.
+    """Return the noise that the extended job takes, so that it is the one that was found; else ''.
 
-    Left are structure and smooth errors that count as noise: uncertainties for white noise include neither.
+    Uncertainties for white noise include neither structure that is left nor smooth errors that count as noise. Standard
+    deviations of effects and correlated errors were found beside the noise of the readings: another one would weigh
+    them otherwise.
     """
     job, left = diagnosis.job, diagnosis.left
     stated = {error.covariate for error in proposed_correlated(diagnosis)}
     remains = not {*left.depends_on} <= stated if left is not None else bool(diagnosis.correlated_errors and not stated)
-    return STRUCTURED if remains and job.sharing >= FEWEST and job.noise_model != STRUCTURED else ""
+    if remains and job.sharing >= FEWEST:
+        return STRUCTURED if job.noise_model != STRUCTURED else ""
+    has_sizes, ratio = bool(stated or diagnosis.scatters), diagnosis.noise.ratio
+    other = job.sharing and job.declares_noise and not 1 / AS_OTHERS < ratio < AS_OTHERS
+    return ESTIMATED if has_sizes and other and not diagnosis.noise.as_declared else ""
 
 
 def as_job(name: IdentifiedEffect) -> Mapping[str, str]:

@@ -186,8 +186,8 @@ def _fits(job: AdjustedJob, state: State, gross: Gross | None, known: Gross) -> 
     best = first = _Fit.of(job, state, gross, known)
     new = _old_and_new(state)[1] if gross is None else ()
     replaced = [part for part in new if state.measurement.alternative(part.key).effect.link is None]
-    trials = [(state.minus([part]), part.key) for part in replaced]
-    trials += [(state, None)] if gross is None and _is_smoothed(state) else []
+    smoothed = [(state, None)] if gross is None and _is_smoothed(state) else []
+    trials = [*((state.minus([part]), part.key) for part in replaced), *smoothed]
     for less, key in trials:
         others = (_Fit.of(job, less.plus([rival]), gross, known) for rival in _terms_instead(less, key))
         best = max([best, *others], key=lambda fit: fit.score)

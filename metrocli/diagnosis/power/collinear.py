@@ -110,14 +110,14 @@ def _unit(gram: Array) -> Array:
     return np.asarray(vectors[:, kept] / np.sqrt(values[kept]) / norms[:, None])
 
 
-def separations(job: AdjustedJob, pairs: Sequence[tuple[Candidate, Candidate]]) -> list[list[str]]:
-    """Return, in words, what to measure to distinguish the names of each pair.
+def separations(job: AdjustedJob, pairs: Sequence[tuple[Candidate, Candidate]]) -> tuple[str, ...]:
+    """Return, in words, what to measure to distinguish the effects of each pair.
 
     These are the first offers that bring their cosine below 0.9, or else the offer with the lowest cosine; if the job
     has no offers, the advice of the effects themselves.
     """
     advice: list[list[tuple[float, str]]] = [[] for _ in pairs]
-    for words, model in job.offers(job.model):
+    for words, model in job.offers(job.model) if pairs else ():
         # an offer takes a linearisation: pairs with enough advice take no part, and without any the rest is left out
         unsettled = [at for at, its in enumerate(advice) if sum(rho < _COLLINEAR for rho, _ in its) < _OFFERED]
         if not unsettled:
@@ -125,7 +125,7 @@ def separations(job: AdjustedJob, pairs: Sequence[tuple[Candidate, Candidate]]) 
         system = linearised(model)
         for at in unsettled:
             advice[at].append((_cosine(system, *pairs[at]), words))
-    return [_advice(its, pair) for its, pair in zip(advice, pairs, strict=True)]
+    return tuple(dict.fromkeys(words for its, pair in zip(advice, pairs, strict=True) for words in _advice(its, pair)))
 
 
 def _cosine(system: Linearised, candidate: Candidate, other: Candidate) -> float:
