@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -37,9 +38,9 @@ def _located(job: Job[Settings, Files], how: How) -> tuple[Located, float]:
     return weighed(noise.model, noise, lambda noise: locate(readings, noise, how))
 
 
-def diagnosed(job: Job[Settings, Files]) -> AdjustedJob:
+def diagnosed(job: Job[Settings, Files], remove: bool = False) -> AdjustedJob:
     """Return the adjusted job in the form that diagnosis needs, with all readings; raises as `run` does."""
-    return adjusted_job(_located(job, replace(_how(job), remove=False, explain=False))[0])
+    return adjusted_job(_located(job, replace(_how(job), remove=remove, explain=False))[0])
 
 
 def _how(job: Job[Settings, Files]) -> How:
@@ -120,5 +121,6 @@ TASK = Task(
     effects=EFFECTS,
     places=PLACES,
     covariates=covariates,
+    cleared=partial(diagnosed, remove=True),
     answers={"compare": compare},
 )

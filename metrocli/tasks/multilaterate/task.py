@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -68,10 +69,10 @@ def check(job: Job[Settings, Files]) -> None:
             requested_features(settings.features, files.probing)
 
 
-def diagnosed(job: Job[Settings, Files]) -> AdjustedJob:
-    """Return the adjusted job in the form that diagnosis needs, with all lengths; raises as `run` does."""
+def diagnosed(job: Job[Settings, Files], remove: bool = False) -> AdjustedJob:
+    """Return the adjusted job in the form that diagnosis needs, by default with all lengths; raises as `run` does."""
     network = build(job.settings, job.files).with_effects(job.effects)
-    solved, _ = weighed(job.settings.noise.model, network, lambda network: solve(network, remove=False))
+    solved, _ = weighed(job.settings.noise.model, network, lambda network: solve(network, remove))
     adjusted = adjusted_job(solved)
     return replace(
         adjusted,
@@ -117,5 +118,6 @@ TASK = Task(
     EFFECTS,
     PLACES,
     covariates=covariates,
+    cleared=partial(diagnosed, remove=True),
     result_answers={"distance": lambda result, points: (distance(result, points[0], points[1]),)},
 )
