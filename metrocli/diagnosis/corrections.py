@@ -155,7 +155,7 @@ def other_scales(key: str, table: Table, groups: Iterable[Sequence[str]]) -> Ite
     """
     for names in groups:
         headings, size = in_a_row(_headings(table, names)), np.max(np.abs([table.numbers(name) for name in names]), 0)
-        for where, rows in _parts(table, size):
+        for where, rows in parts(table, size):
             for factor, words, _ in _nearer(table, names, float(np.median(size[~rows])), float(np.median(size[rows]))):
                 mistake = Mistake(
                     key, f"{headings} {where} {words}", f"{headings} {where} times {factor:.10g}", min(factor, 1.0),
@@ -184,7 +184,7 @@ def _nearer(table: Table, names: Sequence[str], others: float, own: float) -> It
             yield factor, words, unit
 
 
-def _parts(table: Table, size: Array) -> Iterator[tuple[str, Mask]]:
+def parts(table: Table, size: Array) -> Iterator[tuple[str, Mask]]:
     """Yield the rows of each source beside others, in words, and the fewer rows on one side of a gap between sizes."""
     texts = {column: np.array(table.texts(column)) for column in _SOURCES if column in table}
     sources = [

@@ -24,6 +24,7 @@ from metrocli.tasks.calibrate_machine.settings import Settings
 from metrocli.tasks.job import Job
 from metrocli.tasks.shared.lengths import ESTIMATED
 from metrocli.tasks.shared.noise import DECLARED
+from metrocli.tasks.shared.weather import other_weather
 from metrocli.units.people import format_quantity
 from metrocli.words import in_a_row
 
@@ -35,7 +36,8 @@ _Other = tuple[Mistake, MachineSettings]
 
 
 def other_settings(job: Job[Settings, Files], fits: bool) -> Iterator[tuple[Mistake, Job[Settings, Files]]]:
-    """Yield what may be wrong in the settings, with the job that is right then; nothing if a declared noise fits."""
+    """Yield what may be wrong in the settings, with the job that is right then; weather alone if a noise fits."""
+    yield from other_weather(job)
     noise = job.settings.noise
     if job.settings.angular:
         return

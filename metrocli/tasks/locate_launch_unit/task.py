@@ -24,6 +24,7 @@ from metrocli.tasks.locate_launch_unit.settings import METHODS, Files, Settings
 from metrocli.tasks.locate_launch_unit.simulation import simulated
 from metrocli.tasks.locate_launch_unit.solve import How, Located, locate
 from metrocli.tasks.shared.noise import weighed
+from metrocli.tasks.shared.weather import other_weather
 
 
 def run(job: Job[Settings, Files]) -> Result:
@@ -121,6 +122,7 @@ TASK = Task(
     effects=EFFECTS,
     places=PLACES,
     covariates=covariates,
+    other_settings=other_weather,
     cleared=partial(diagnosed, remove=True),
     answers={"compare": compare},
 )

@@ -27,6 +27,7 @@ from metrocli.tasks.multilaterate.simulation import simulated
 from metrocli.tasks.multilaterate.solve import AdjustedTracers, solve
 from metrocli.tasks.shared.features.requested import requested_features
 from metrocli.tasks.shared.noise import weighed
+from metrocli.tasks.shared.weather import other_weather
 
 
 def run(job: Job[Settings, Files]) -> Result:
@@ -118,6 +119,7 @@ TASK = Task(
     EFFECTS,
     PLACES,
     covariates=covariates,
+    other_settings=other_weather,
     cleared=partial(diagnosed, remove=True),
     result_answers={"distance": lambda result, points: (distance(result, points[0], points[1]),)},
 )
