@@ -73,8 +73,8 @@ def corrections(inputs: Inputs, unplaced: Collection[str] = ()) -> Iterator[tupl
                 yield mistake, {**inputs, key: changed}
 
 
-ROWS = "rows"
-"""Sort of the mistake of rows that share no more than the size of their numbers"""
+ROWS, SCALES = "rows", "scales"
+"""Sorts of the mistakes of rows that share no more than the size of their numbers, and of those of a source"""
 _SOURCES = ("station", "tracer", "line", "view", "tool")
 """Columns that name what several readings have in common, such as the operator who wrote them"""
 _LIKE_OTHERS = 5.0
@@ -159,7 +159,7 @@ def other_scales(key: str, table: Table, groups: Iterable[Sequence[str]]) -> Ite
             for factor, words, _ in _nearer(table, names, float(np.median(size[~rows])), float(np.median(size[rows]))):
                 mistake = Mistake(
                     key, f"{headings} {where} {words}", f"{headings} {where} times {factor:.10g}", min(factor, 1.0),
-                    table.file, ROWS if where.startswith("in") else "scales", len(names),
+                    table.file, ROWS if where.startswith("in") else SCALES, len(names),
                 )  # fmt: skip
                 columns = {name: table.numbers(name) * np.where(rows, factor, 1.0) for name in names}
                 yield mistake, replace(table, columns={**table.columns, **columns})
@@ -172,7 +172,7 @@ def other_columns(key: str, table: Table, names: Sequence[str]) -> Iterator[tupl
         (heading,), rest = _headings(table, [name]), [size[other] for other in names if other != name]
         for factor, words, unit in _nearer(table, [name], float(np.median(rest)), float(np.median(size[name]))):
             write = f"{name}_{unit} in the heading" if unit else f"the numbers of {heading} times {factor:.10g}"
-            mistake = Mistake(key, f"{heading} {words}", write, min(factor, 1.0), table.file, "scales")
+            mistake = Mistake(key, f"{heading} {words}", write, min(factor, 1.0), table.file, SCALES)
             yield mistake, _scaled(table, [name], factor)
 
 
