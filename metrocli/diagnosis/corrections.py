@@ -75,7 +75,7 @@ def corrections(inputs: Inputs, unplaced: Collection[str] = ()) -> Iterator[tupl
 
 ROWS, SCALES = "rows", "scales"
 """Sorts of the mistakes of rows that share no more than the size of their numbers, and of those of a source"""
-_SOURCES = ("station", "tracer", "line", "view", "tool")
+_SOURCES = ("station", "tracer", "line", "view", "tool", "ball", "reflector")
 """Columns that name what several readings have in common, such as the operator who wrote them"""
 _LIKE_OTHERS = 5.0
 """Rows in another unit differ from the others by its factor, up to so many times"""

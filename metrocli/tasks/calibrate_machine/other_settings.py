@@ -9,15 +9,16 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from itertools import combinations, permutations
+from itertools import combinations, permutations, product
 from typing import Any
 
 import numpy as np
 
 from metrocli.arrays import Array
-from metrocli.diagnosis.corrections import Mistake, other_columns, other_scales
+from metrocli.diagnosis.corrections import Mistake, other_columns, other_scales, parts
 from metrocli.instruments.machine import ANGLES, AXES, axis_order
 from metrocli.instruments.six_dof import CHANNELS
+from metrocli.table import Table
 from metrocli.tasks.calibrate_machine.files import Files
 from metrocli.tasks.calibrate_machine.machine_settings import MachineSettings, RotarySettings
 from metrocli.tasks.calibrate_machine.settings import Settings
@@ -48,8 +49,29 @@ def other_settings(job: Job[Settings, Files], fits: bool) -> Iterator[tuple[Mist
     for mistake, machine in (*_chains(listed), *_other_tools(listed), *turned):
         yield mistake, replace(job, settings=replace(job.settings, machine=machine))
     if not fits:
+        yield from _rotary_positions(job)
         yield from _zenith(job)
         yield from _channels(job)
+
+
+def _rotary_positions(job: Job[Settings, Files]) -> Iterator[tuple[Mistake, Job[Settings, Files]]]:
+    """Yield positions of rotary axes with the other sign or in another unit in the rows of one ball or tool."""
+    for key in ("points", "lengths", "probing"):
+        table: Table | None = getattr(job.files, key)
+        names = [letter.lower() for letter in ANGLES if table is not None and letter.lower() in table]
+        if table is None or not names or len(table) > _MOST_POSES:
+            continue
+        sources = [part for part in parts(table, np.ones(len(table))) if np.ptp(table.numbers(names[0])[part[1]])]
+        for name, (where, rows) in product(names, sources if len(sources) <= _MOST_LINES else ()):
+            of_source = f"{table.headings.get(name, name)} {where}"
+            words, write = f"{of_source} has the wrong sign", f"{of_source} with the other sign"
+            turned = np.where(rows, -table.numbers(name), table.numbers(name))
+            right: dict[str, Any] = {key: replace(table, columns={**table.columns, name: turned})}
+            mistake = Mistake(key, words, write, file=table.file, sort="rotary positions")
+            yield mistake, replace(job, files=replace(job.files, **right))
+        for mistake, scaled in other_scales(key, table, [*([name] for name in names), names]):
+            right = {key: scaled}
+            yield replace(mistake, sort="rotary positions"), replace(job, files=replace(job.files, **right))
 
 
 def _zenith(job: Job[Settings, Files]) -> Iterator[tuple[Mistake, Job[Settings, Files]]]:
