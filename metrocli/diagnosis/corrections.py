@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import field, replace
-from itertools import combinations, permutations
+from itertools import combinations, permutations, product, starmap
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -58,7 +57,7 @@ def corrections(inputs: Inputs, unplaced: Collection[str] = ()) -> Iterator[tupl
     """
     tables = [(key, table) for key, table in inputs.items() if isinstance(table, Table)]
     # two passes and no sorted list: tables of millions of rows are changed one at a time
-    for axes, (key, table) in itertools.product((False, True), tables):
+    for axes, (key, table) in product((False, True), tables):
         for words, write, factor, changed in _of_table(table):
             sort = "units" if abs(factor) != 1.0 else "handed" if words in _HANDED else words
             turns = words.startswith(_TURNS)
@@ -165,12 +164,13 @@ def other_scales(key: str, table: Table, groups: Iterable[Sequence[str]]) -> Ite
                 yield mistake, replace(table, columns={**table.columns, **columns})
 
 
-def other_columns(key: str, table: Table, names: Sequence[str]) -> Iterator[tuple[Mistake, Table]]:
-    """Yield columns whose size comes nearer to that of others of the same sort with another unit."""
+def other_columns(key: str, table: Table, names: Sequence[str], usual: float = 0) -> Iterator[tuple[Mistake, Table]]:
+    """Yield columns whose size comes nearer to the usual, that of others of the same sort, with another unit."""
     size = {name: np.abs(table.numbers(name)) for name in names}
     for name in names:
         (heading,), rest = _headings(table, [name]), [size[other] for other in names if other != name]
-        for factor, words, unit in _nearer(table, [name], float(np.median(rest)), float(np.median(size[name]))):
+        others = float(np.median(rest)) if rest else usual
+        for factor, words, unit in _nearer(table, [name], others, float(np.median(size[name]))):
             write = f"{name}_{unit} in the heading" if unit else f"the numbers of {heading} times {factor:.10g}"
             mistake = Mistake(key, f"{heading} {words}", write, min(factor, 1.0), table.file, SCALES)
             yield mistake, _scaled(table, [name], factor)
@@ -294,7 +294,7 @@ def _ordered(table: Table, names: Sequence[str], order: Sequence[str]) -> Table:
     )
 
 
-_HANDED = {words for words, _ in (*itertools.starmap(_swap, combinations(_AXES, 2)), *map(_sign, _AXES))}
+_HANDED = {words for words, _ in (*starmap(_swap, combinations(_AXES, 2)), *map(_sign, _AXES))}
 """What turns a right-handed list into a left-handed one: where the frame of the list is unknown, all fit alike"""
 _TURNS = ("turned by", "x, y, z are in the order")
 """How the words begin for what turns a list as a whole"""

@@ -33,6 +33,8 @@ _VAGUE = 1.0
 """Standard uncertainty of tool vectors that are not as listed [mm]"""
 _MOST_POSES, _MOST_LINES = 2_000, 12
 """Poses of six-dof up to which channels are tried, and lines up to which each is: every trial is an adjustment"""
+_LARGEST, _USUAL = 2e-3, 3e-5
+"""Displacements of an axis are below the first share of its travel, and of the size of the second"""
 _Other = tuple[Mistake, MachineSettings]
 
 
@@ -52,6 +54,7 @@ def other_settings(job: Job[Settings, Files], fits: bool) -> Iterator[tuple[Mist
         yield from _rotary_positions(job)
         yield from _zenith(job)
         yield from _channels(job)
+        yield from _displacement_alone(job)
 
 
 def _rotary_positions(job: Job[Settings, Files]) -> Iterator[tuple[Mistake, Job[Settings, Files]]]:
@@ -118,6 +121,22 @@ def _channels(job: Job[Settings, Files]) -> Iterator[tuple[Mistake, Job[Settings
     for one, two in (pair for kind in kinds for pair in combinations(kind, 2)):
         write = f"{two} for {one} and {one} for {two} in the headings"
         yield other(f"{one} and {two} are swapped", write, {one: values[two], two: values[one]}, 2)
+
+
+def _displacement_alone(job: Job[Settings, Files]) -> Iterator[tuple[Mistake, Job[Settings, Files]]]:
+    """Yield the displacements of single axes in a smaller unit, where no axis has so large ones.
+
+    Nothing else is read, so that residuals fall with any smaller unit, whatever is wrong.
+    """
+    lines = job.files.lines
+    if lines is None or "position" not in lines or all(channel in lines for channel in CHANNELS):
+        return
+    for channel in (channel for channel in CHANNELS[:3] if channel in lines):
+        own = np.array(lines.texts("axis")) == channel[1]
+        position, read = lines.numbers("position")[own], lines.numbers(channel)[own]
+        if own.any() and np.median(np.abs(read - np.median(read))) > _LARGEST * np.ptp(position):
+            for mistake, table in other_columns("lines", lines, [channel], _USUAL * np.ptp(position)):
+                yield mistake, replace(job, files=replace(job.files, lines=table))
 
 
 def _chains(machine: MachineSettings) -> Iterator[_Other]:
