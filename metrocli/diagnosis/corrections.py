@@ -72,8 +72,8 @@ def corrections(inputs: Inputs, unplaced: Collection[str] = ()) -> Iterator[tupl
                 yield mistake, {**inputs, key: changed}
 
 
-ROWS, SCALES = "rows", "scales"
-"""Sorts of the mistakes of rows that share no more than the size of their numbers, and of those of a source"""
+ROWS = "rows"
+"""Sort of the mistake of rows that share no more than the size of their numbers"""
 _SOURCES = ("station", "tracer", "line", "view", "tool", "ball", "reflector")
 """Columns that name what several readings have in common, such as the operator who wrote them"""
 _LIKE_OTHERS = 5.0
@@ -158,7 +158,7 @@ def other_scales(key: str, table: Table, groups: Iterable[Sequence[str]]) -> Ite
             for factor, words, _ in _nearer(table, names, float(np.median(size[~rows])), float(np.median(size[rows]))):
                 mistake = Mistake(
                     key, f"{headings} {where} {words}", f"{headings} {where} times {factor:.10g}", min(factor, 1.0),
-                    table.file, ROWS if where.startswith("in") else SCALES, len(names),
+                    table.file, ROWS if where.startswith("in") else "scales", len(names),
                 )  # fmt: skip
                 columns = {name: table.numbers(name) * np.where(rows, factor, 1.0) for name in names}
                 yield mistake, replace(table, columns={**table.columns, **columns})
@@ -172,7 +172,7 @@ def other_columns(key: str, table: Table, names: Sequence[str], usual: float = 0
         others = float(np.median(rest)) if rest else usual
         for factor, words, unit in _nearer(table, [name], others, float(np.median(size[name]))):
             write = f"{name}_{unit} in the heading" if unit else f"the numbers of {heading} times {factor:.10g}"
-            mistake = Mistake(key, f"{heading} {words}", write, min(factor, 1.0), table.file, SCALES)
+            mistake = Mistake(key, f"{heading} {words}", write, min(factor, 1.0), table.file, "scales")
             yield mistake, _scaled(table, [name], factor)
 
 

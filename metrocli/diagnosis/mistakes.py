@@ -14,7 +14,7 @@ from typing import TypeVar
 import numpy as np
 
 from metrocli.diagnosis.adjusted_job import ABSURD, BETTER, AdjustedJob, Misfit, misfit_of
-from metrocli.diagnosis.corrections import ROWS, SCALES, Inputs, Mistake, corrections
+from metrocli.diagnosis.corrections import ROWS, Inputs, Mistake, corrections
 from metrocli.diagnosis.other_settings import with_other_setting
 from metrocli.diagnosis.trials import FAILURES, MOST_ROWS, Mistaken, Others, Trial, adjusted_trials, no_others
 from metrocli.doubt import MANY_LEFT_OUT
@@ -31,8 +31,6 @@ _SUSPECT_PLACES = 0.2
 """Share of the implausible distance of places from their lists above which other readings of the files are tried"""
 _USUAL = 10.0, 2e5
 """Distances of instruments of this program [mm]; those of readings of another sort are unusual in every unit"""
-_OF_ROWS = ROWS, SCALES
-"""Sorts of mistakes that explain more than an error with a hint"""
 Adjust = Callable[[Inputs], AdjustedJob]
 T = TypeVar("T", AdjustedJob, Misfit)
 
@@ -80,7 +78,7 @@ def without_mistakes(
         for mistake, misfit, other in adjusted_trials(
             trial
             for trial in _readings_of(inputs, adjust, others, unplaced, failure)
-            if not rows_alone or trial[0].sort in _OF_ROWS
+            if not rows_alone or trial[0].sort == ROWS
         )
         if misfit.worst <= 1
         and misfit.worst * BETTER <= before * mistake.shrinks
@@ -154,7 +152,7 @@ def misread(
             return None
     trials: Iterable[Trial] = _readings_of(inputs, adjust, no_others if explained else others, unplaced, failure)
     if explained:
-        trials = (trial for trial in trials if trial[0].sort in _OF_ROWS)
+        trials = (trial for trial in trials if trial[0].sort == ROWS)
     misfits = [
         (misfit.worst, mistake, misfit) for mistake, misfit, job in adjusted_trials(trials) if _explains(misfit, job)
     ]
@@ -216,6 +214,5 @@ def _explains(misfit: Misfit, job: AdjustedJob) -> bool:
 
 
 def _first_line(failure: MetrocliError | None) -> str:
-    if isinstance(failure, InputError):
-        return failure.faults[0].message
-    return str(failure).splitlines()[0].removeprefix("error: ") if failure is not None else ""
+    text = failure.faults[0].message if isinstance(failure, InputError) else str(failure or "")
+    return text.partition("\n")[0].removeprefix("error: ")
