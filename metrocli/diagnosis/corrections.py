@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import field, replace
-from itertools import combinations, permutations
+from itertools import combinations, permutations, product, starmap
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -58,7 +57,7 @@ def corrections(inputs: Inputs, unplaced: Collection[str] = ()) -> Iterator[tupl
     """
     tables = [(key, table) for key, table in inputs.items() if isinstance(table, Table)]
     # two passes and no sorted list: tables of millions of rows are changed one at a time
-    for axes, (key, table) in itertools.product((False, True), tables):
+    for axes, (key, table) in product((False, True), tables):
         for words, write, factor, changed in _of_table(table):
             sort = "units" if abs(factor) != 1.0 else "handed" if words in _HANDED else words
             turns = words.startswith(_TURNS)
@@ -75,7 +74,7 @@ def corrections(inputs: Inputs, unplaced: Collection[str] = ()) -> Iterator[tupl
 
 ROWS = "rows"
 """Sort of the mistake of rows that share no more than the size of their numbers"""
-_SOURCES = ("station", "tracer", "line", "view", "tool")
+_SOURCES = ("station", "tracer", "line", "view", "tool", "ball", "reflector")
 """Columns that name what several readings have in common, such as the operator who wrote them"""
 _LIKE_OTHERS = 5.0
 """Rows in another unit differ from the others by its factor, up to so many times"""
@@ -155,7 +154,7 @@ def other_scales(key: str, table: Table, groups: Iterable[Sequence[str]]) -> Ite
     """
     for names in groups:
         headings, size = in_a_row(_headings(table, names)), np.max(np.abs([table.numbers(name) for name in names]), 0)
-        for where, rows in _parts(table, size):
+        for where, rows in parts(table, size):
             for factor, words, _ in _nearer(table, names, float(np.median(size[~rows])), float(np.median(size[rows]))):
                 mistake = Mistake(
                     key, f"{headings} {where} {words}", f"{headings} {where} times {factor:.10g}", min(factor, 1.0),
@@ -165,12 +164,13 @@ def other_scales(key: str, table: Table, groups: Iterable[Sequence[str]]) -> Ite
                 yield mistake, replace(table, columns={**table.columns, **columns})
 
 
-def other_columns(key: str, table: Table, names: Sequence[str]) -> Iterator[tuple[Mistake, Table]]:
-    """Yield columns whose size comes nearer to that of others of the same sort with another unit."""
+def other_columns(key: str, table: Table, names: Sequence[str], usual: float = 0) -> Iterator[tuple[Mistake, Table]]:
+    """Yield columns whose size comes nearer to the usual, that of others of the same sort, with another unit."""
     size = {name: np.abs(table.numbers(name)) for name in names}
     for name in names:
         (heading,), rest = _headings(table, [name]), [size[other] for other in names if other != name]
-        for factor, words, unit in _nearer(table, [name], float(np.median(rest)), float(np.median(size[name]))):
+        others = float(np.median(rest)) if rest else usual
+        for factor, words, unit in _nearer(table, [name], others, float(np.median(size[name]))):
             write = f"{name}_{unit} in the heading" if unit else f"the numbers of {heading} times {factor:.10g}"
             mistake = Mistake(key, f"{heading} {words}", write, min(factor, 1.0), table.file, "scales")
             yield mistake, _scaled(table, [name], factor)
@@ -184,7 +184,7 @@ def _nearer(table: Table, names: Sequence[str], others: float, own: float) -> It
             yield factor, words, unit
 
 
-def _parts(table: Table, size: Array) -> Iterator[tuple[str, Mask]]:
+def parts(table: Table, size: Array) -> Iterator[tuple[str, Mask]]:
     """Yield the rows of each source beside others, in words, and the fewer rows on one side of a gap between sizes."""
     texts = {column: np.array(table.texts(column)) for column in _SOURCES if column in table}
     sources = [
@@ -294,7 +294,7 @@ def _ordered(table: Table, names: Sequence[str], order: Sequence[str]) -> Table:
     )
 
 
-_HANDED = {words for words, _ in (*itertools.starmap(_swap, combinations(_AXES, 2)), *map(_sign, _AXES))}
+_HANDED = {words for words, _ in (*starmap(_swap, combinations(_AXES, 2)), *map(_sign, _AXES))}
 """What turns a right-handed list into a left-handed one: where the frame of the list is unknown, all fit alike"""
 _TURNS = ("turned by", "x, y, z are in the order")
 """How the words begin for what turns a list as a whole"""

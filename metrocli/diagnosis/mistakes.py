@@ -17,6 +17,7 @@ from metrocli.diagnosis.adjusted_job import ABSURD, BETTER, AdjustedJob, Misfit,
 from metrocli.diagnosis.corrections import ROWS, Inputs, Mistake, corrections
 from metrocli.diagnosis.other_settings import with_other_setting
 from metrocli.diagnosis.trials import FAILURES, MOST_ROWS, Mistaken, Others, Trial, adjusted_trials, no_others
+from metrocli.doubt import MANY_LEFT_OUT
 from metrocli.errors import Fault, InputError, MetrocliError, NoSolutionError
 from metrocli.table import Table
 
@@ -39,12 +40,17 @@ ELSEWHERE = Mistake(
 
 
 def without_mistakes(
-    inputs: Inputs, adjust: Adjust, others: Others = no_others, unplaced: Collection[str] = ()
+    inputs: Inputs,
+    adjust: Adjust,
+    others: Others = no_others,
+    unplaced: Collection[str] = (),
+    cleared: Adjust | None = None,
 ) -> tuple[AdjustedJob, Mistaken | None]:
     """Return the adjusted job, and the mistake without which it was adjusted, if there is one.
 
-    Corrections are tried if the job fails or is absurd. If none explains that, the exception of the job as it is is
-    raised.
+    Corrections are tried if the job fails or is absurd, unless `cleared`, which adjusts it without outliers, leaves out
+    too few to have one cause; of a failure in which most readings fit, only those of rows. If none explains a failure,
+    many may be left out; else the exception is raised.
     """
     failure: Exception | None = None
     job, misfits, before = None, Misfit(np.inf, np.inf, np.inf), np.inf
@@ -58,9 +64,22 @@ def without_mistakes(
     if job is not None and before <= 1:
         better = with_other_setting(job, others)
         return (job, None) if better is None else (better.job, better)
+    rest = None
+    if cleared is not None:
+        try:
+            rest = cleared(inputs)
+        except FAILURES as error:
+            failure = failure and error  # as the task ends
+    if rest is not None and rest.left_out < MANY_LEFT_OUT and misfit_of(rest).worst <= 1:
+        return rest, None
+    rows_alone = isinstance(failure, NoSolutionError) and not _unexplained(failure)
     tried = [
         (misfit.worst, mistake, other)
-        for mistake, misfit, other in adjusted_trials(_readings_of(inputs, adjust, others, unplaced, failure))
+        for mistake, misfit, other in adjusted_trials(
+            trial
+            for trial in _readings_of(inputs, adjust, others, unplaced, failure)
+            if not rows_alone or trial[0].sort == ROWS
+        )
         if misfit.worst <= 1
         and misfit.worst * BETTER <= before * mistake.shrinks
         and not misfits.spoilt_alike(misfit, mistake.shrinks)
@@ -70,6 +89,7 @@ def without_mistakes(
         # of equals the likeliest is taken
         after, _, best = alike[0]
         return best, Mistaken(tuple(mistake for _, mistake, _ in alike), best, before, after)
+    job = job or rest
     if job is None:
         raise failure or RuntimeError("a job that gave nothing")
     # the median that is absurd does not show what one source of several spoils
@@ -194,4 +214,5 @@ def _explains(misfit: Misfit, job: AdjustedJob) -> bool:
 
 
 def _first_line(failure: MetrocliError | None) -> str:
-    return str(failure).splitlines()[0].removeprefix("error: ") if failure is not None else ""
+    text = failure.faults[0].message if isinstance(failure, InputError) else str(failure or "")
+    return text.partition("\n")[0].removeprefix("error: ")

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from functools import partial
 from itertools import count
 from pathlib import Path
 
@@ -21,9 +20,7 @@ from metrocli.diagnosis.findings import Diagnosis
 from metrocli.diagnosis.job_entries import (
     as_job,
     correlated_as_job,
-    declared_noise,
     declares,
-    model_of,
     proposed_correlated,
     proposed_noise,
     proposed_variances,
@@ -36,10 +33,8 @@ from metrocli.diagnosis.laws.definition import as_define, as_wanted
 from metrocli.diagnosis.laws.search import Law
 from metrocli.diagnosis.linear.memory import as_fits
 from metrocli.diagnosis.mistakes import without_mistakes
-from metrocli.diagnosis.trials import Others
-from metrocli.effects.acting import Variable
 from metrocli.effects.own import columns
-from metrocli.errors import Fault, InputError, NotConvergedError, UndeterminedError, UsageError
+from metrocli.errors import Fault, InputError, NoSolutionError, NotConvergedError, UndeterminedError
 from metrocli.formats.csv_text import numeric
 from metrocli.formats.file_bytes import atomic_write
 from metrocli.formats.own_files import refuse_inputs
@@ -47,6 +42,7 @@ from metrocli.frozen import dataclass
 from metrocli.nodes import Node, node_of, relocated, with_entry
 from metrocli.progress import SILENT, Named, Progress, counted
 from metrocli.project import yaml_text
+from metrocli.project.adjuster import adjuster, cleared, others_of
 from metrocli.project.inputs import read_inputs
 from metrocli.project.job import JobFile, JobOptions, load
 from metrocli.project.runner import counting, simulate
@@ -64,7 +60,13 @@ _DIGEST = "# sha256 of the lines below, by which diagnose sees whether they were
 
 def adjusted_job_of(job: JobFile) -> AdjustedJob:
     """Return the adjusted job as diagnosis takes it; raise UsageError if its kind has no diagnosis."""
-    return _adjuster(job)(read_inputs(job))
+    held, without_outliers = read_inputs(job), cleared(job)
+    try:
+        return adjuster(job)(held)
+    except NoSolutionError:
+        if without_outliers is None:
+            raise
+        return without_outliers(held)
 
 
 def carry_out(
@@ -84,12 +86,12 @@ def carry_out(
     more = columns.variables(((item.spec, item.paths) for item in job.inputs), numeric)
     inputs = tuple(replace(item, spec=columns.reading_all(item.spec, more)) for item in job.inputs)
     job = replace(job, inputs=inputs) if more else job
-    adjust = _adjuster(job, more)
+    adjust = adjuster(job, more)
     progress = Named(job.file, progress)
     progress.doing("adjusting")
     held = counting(read_inputs(job), progress)
     adjusted, mistaken = without_mistakes(
-        held, adjust, _others(job, held, adjust), tasks.KINDS[job.kind].task().unplaced
+        held, adjust, others_of(job, held, adjust), tasks.KINDS[job.kind].task().unplaced, cleared(job, more)
     )
     answer = None if first is None else diagnose(adjusted, progress, limit, attended, ordered, quick=True)
     if first is not None and answer is not None:
@@ -116,35 +118,9 @@ def design_of(job: JobFile, progress: Progress = SILENT) -> tuple[AdjustedJob, D
         made = {Path(name).stem: table for name, table in files.items()}
         held |= {item.key: made[item.key] for item in job.inputs if item.key in wanted and item.key in made}
     progress.doing("adjusting")
-    adjusted = as_fits(_adjuster(job)(held))
+    adjusted = as_fits(adjuster(job)(held))
     progress.doing("computing what the measurement can detect")
     return adjusted, what_can_be_seen(adjusted)
-
-
-def _others(job: JobFile, inputs: Mapping[str, object], adjust: Callable[..., AdjustedJob]) -> Others:
-    """Return the other settings of a job, each with what adjusts it."""
-    task = tasks.KINDS[job.kind].task()
-    trials = partial(task.jobs_with_others, task.job(job.settings, effects=job.effects, **inputs))
-    return lambda *how: [(wrong, partial(adjust, vars(trial.files), trial.settings)) for wrong, trial in trials(*how)]
-
-
-def _adjuster(job: JobFile, more: Sequence[Variable] = ()) -> Callable[..., AdjustedJob]:
-    """Return what adjusts a job; `more` are variables of laws beside those that its kind has everywhere."""
-    task = tasks.KINDS[job.kind].task()
-    adjusted = task.diagnosed
-    if adjusted is None:
-        raise UsageError(f"{job.kind} jobs cannot be diagnosed")
-    declared, model = declared_noise(job.root.get("noise")), model_of(job.root.get("noise"))
-    places = columns.with_variables(task.places, more)
-
-    def adjust(inputs: Mapping[str, object], settings: object = job.settings) -> AdjustedJob:
-        other = adjusted(task.job(settings, effects=job.effects, **inputs))
-        every = (*other.effects, *job.own.effects)
-        stated = task.covariates is not None
-        other = replace(other, declared=declared, noise_model=model, states_correlated=stated)
-        return replace(other, effects=every, places=places)
-
-    return adjust
 
 
 def _digest(text: str) -> str:

@@ -82,6 +82,8 @@ class Task(Generic[S, F]):
     """Returns the model of a job at its starting values; for kinds with other settings"""
     other_settings: Callable[[Job[S, F], bool], Iterable[tuple[Mistake, Job[S, F]]]] | None = None
     """What may be wrong in the settings, each with the job that is right then; takes whether the readings fit"""
+    cleared: Callable[[Job[S, F]], AdjustedJob] | None = None
+    """As `diagnosed`, but without outliers; for kinds whose adjustment to all readings a wrong one can spoil"""
     fits_up_to: float = 2.0
     """Largest sigma0 of readings that fit: where each trial of a setting is short, the least that another can halve"""
     unplaced: tuple[str, ...] = ()

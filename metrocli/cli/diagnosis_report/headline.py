@@ -48,7 +48,11 @@ def _times(ratio: float) -> str:
 
 
 def summary(diagnosis: Diagnosis) -> Iterator[str]:
-    """Yield what is wrong, how much of the misfit it explains, and what remains."""
+    """Yield what is left out, what is wrong, how much of the misfit it explains, and what remains."""
+    out = diagnosis.job.left_out
+    if out:
+        readings = f"{out} readings" if out > 1 else "the reading"
+        yield f"  without {readings} that `outliers: remove` leaves out (table rejected of the result)"
     gain = diagnosis.gain
     if gain is None or gain.log_score <= 0:
         return

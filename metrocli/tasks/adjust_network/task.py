@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
 from metrocli.diagnosis.adjusted_job import AdjustedJob
@@ -50,9 +52,9 @@ def check(job: Job[Settings, Files]) -> None:
         build(job.settings, readings, rough, job.effects)
 
 
-def diagnosed(job: Job[Settings, Files]) -> AdjustedJob:
-    """Return the adjusted job in the form that diagnosis needs, with all readings; raises as `run` does."""
-    return adjusted_job(_solved(job, remove=False)[0])
+def diagnosed(job: Job[Settings, Files], remove: bool = False) -> AdjustedJob:
+    """Return the adjusted job in the form that diagnosis needs, by default with all readings; raises as `run` does."""
+    return adjusted_job(_solved(job, remove)[0])
 
 
 def plan(job: Job[Settings, Files]) -> Plan:
@@ -66,4 +68,16 @@ def simulate(job: Job[Settings, Files], options: SimulationOptions) -> Simulatio
     return simulated(job.settings, job.files, truth, job.effects, np.random.default_rng(options.seed))
 
 
-TASK = Task(Files, run, check, plan, simulate, diagnosed, EFFECTS, PLACES, covariates, other_settings=other_settings)
+TASK = Task(
+    Files,
+    run,
+    check,
+    plan,
+    simulate,
+    diagnosed,
+    EFFECTS,
+    PLACES,
+    covariates,
+    other_settings=other_settings,
+    cleared=partial(diagnosed, remove=True),
+)

@@ -9,21 +9,23 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from itertools import combinations, permutations
+from itertools import combinations, permutations, product
 from typing import Any
 
 import numpy as np
 
 from metrocli.arrays import Array
-from metrocli.diagnosis.corrections import Mistake, other_columns, other_scales
+from metrocli.diagnosis.corrections import Mistake, other_columns, other_scales, parts
 from metrocli.instruments.machine import ANGLES, AXES, axis_order
 from metrocli.instruments.six_dof import CHANNELS
+from metrocli.table import Table
 from metrocli.tasks.calibrate_machine.files import Files
 from metrocli.tasks.calibrate_machine.machine_settings import MachineSettings, RotarySettings
 from metrocli.tasks.calibrate_machine.settings import Settings
 from metrocli.tasks.job import Job
 from metrocli.tasks.shared.lengths import ESTIMATED
 from metrocli.tasks.shared.noise import DECLARED
+from metrocli.tasks.shared.weather import other_weather
 from metrocli.units.people import format_quantity
 from metrocli.words import in_a_row
 
@@ -31,11 +33,14 @@ _VAGUE = 1.0
 """Standard uncertainty of tool vectors that are not as listed [mm]"""
 _MOST_POSES, _MOST_LINES = 2_000, 12
 """Poses of six-dof up to which channels are tried, and lines up to which each is: every trial is an adjustment"""
+_LARGEST, _USUAL = 2e-3, 3e-5
+"""Displacements of an axis are below the first share of its travel, and of the size of the second"""
 _Other = tuple[Mistake, MachineSettings]
 
 
 def other_settings(job: Job[Settings, Files], fits: bool) -> Iterator[tuple[Mistake, Job[Settings, Files]]]:
-    """Yield what may be wrong in the settings, with the job that is right then; nothing if a declared noise fits."""
+    """Yield what may be wrong in the settings, with the job that is right then; weather alone if a noise fits."""
+    yield from other_weather(job)
     noise = job.settings.noise
     if job.settings.angular:
         return
@@ -46,8 +51,30 @@ def other_settings(job: Job[Settings, Files], fits: bool) -> Iterator[tuple[Mist
     for mistake, machine in (*_chains(listed), *_other_tools(listed), *turned):
         yield mistake, replace(job, settings=replace(job.settings, machine=machine))
     if not fits:
+        yield from _rotary_positions(job)
         yield from _zenith(job)
         yield from _channels(job)
+        yield from _displacement_alone(job)
+
+
+def _rotary_positions(job: Job[Settings, Files]) -> Iterator[tuple[Mistake, Job[Settings, Files]]]:
+    """Yield positions of rotary axes with the other sign or in another unit in the rows of one ball or tool."""
+    for key in ("points", "lengths", "probing"):
+        table: Table | None = getattr(job.files, key)
+        names = [letter.lower() for letter in ANGLES if table is not None and letter.lower() in table]
+        if table is None or not names or len(table) > _MOST_POSES:
+            continue
+        sources = [part for part in parts(table, np.ones(len(table))) if np.ptp(table.numbers(names[0])[part[1]])]
+        for name, (where, rows) in product(names, sources if len(sources) <= _MOST_LINES else ()):
+            of_source = f"{table.headings.get(name, name)} {where}"
+            words, write = f"{of_source} has the wrong sign", f"{of_source} with the other sign"
+            turned = np.where(rows, -table.numbers(name), table.numbers(name))
+            right: dict[str, Any] = {key: replace(table, columns={**table.columns, name: turned})}
+            mistake = Mistake(key, words, write, file=table.file, sort="rotary positions")
+            yield mistake, replace(job, files=replace(job.files, **right))
+        for mistake, scaled in other_scales(key, table, [*([name] for name in names), names]):
+            right = {key: scaled}
+            yield replace(mistake, sort="rotary positions"), replace(job, files=replace(job.files, **right))
 
 
 def _zenith(job: Job[Settings, Files]) -> Iterator[tuple[Mistake, Job[Settings, Files]]]:
@@ -94,6 +121,22 @@ def _channels(job: Job[Settings, Files]) -> Iterator[tuple[Mistake, Job[Settings
     for one, two in (pair for kind in kinds for pair in combinations(kind, 2)):
         write = f"{two} for {one} and {one} for {two} in the headings"
         yield other(f"{one} and {two} are swapped", write, {one: values[two], two: values[one]}, 2)
+
+
+def _displacement_alone(job: Job[Settings, Files]) -> Iterator[tuple[Mistake, Job[Settings, Files]]]:
+    """Yield the displacements of single axes in a smaller unit, where no axis has so large ones.
+
+    Nothing else is read, so that residuals fall with any smaller unit, whatever is wrong.
+    """
+    lines = job.files.lines
+    if lines is None or "position" not in lines or all(channel in lines for channel in CHANNELS):
+        return
+    for channel in (channel for channel in CHANNELS[:3] if channel in lines):
+        own = np.array(lines.texts("axis")) == channel[1]
+        position, read = lines.numbers("position")[own], lines.numbers(channel)[own]
+        if own.any() and np.median(np.abs(read - np.median(read))) > _LARGEST * np.ptp(position):
+            for mistake, table in other_columns("lines", lines, [channel], _USUAL * np.ptp(position)):
+                yield mistake, replace(job, files=replace(job.files, lines=table))
 
 
 def _chains(machine: MachineSettings) -> Iterator[_Other]:

@@ -55,6 +55,7 @@ def adjusted_job(located: Located) -> AdjustedJob:
         {group.name: parts[_pose(group)] for group in model.readings},
         Delivered("place of the launch unit", lu.UNIT, (0, 1, 2), "um", "length"),
         refit,
+        left_out=located.left_out,
         sharing=poses,
         made_together=("pose",),
     )

@@ -82,8 +82,7 @@ def _as_adjusted(
         "method": method,
         "poses": len(located.readings.names),
         "critical_w": located.critical,
-        "rejected": sum(group.observations.count for group in problem.all_groups)
-        - sum(group.observations.count for group in solution.groups),
+        "rejected": located.left_out,
     }
     delivered = (*unit, *estimates_of(noise.solution), *estimates(problem.effects, noise.solution))
     return Result(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -23,6 +24,7 @@ from metrocli.tasks.locate_launch_unit.settings import METHODS, Files, Settings
 from metrocli.tasks.locate_launch_unit.simulation import simulated
 from metrocli.tasks.locate_launch_unit.solve import How, Located, locate
 from metrocli.tasks.shared.noise import weighed
+from metrocli.tasks.shared.weather import other_weather
 
 
 def run(job: Job[Settings, Files]) -> Result:
@@ -37,9 +39,9 @@ def _located(job: Job[Settings, Files], how: How) -> tuple[Located, float]:
     return weighed(noise.model, noise, lambda noise: locate(readings, noise, how))
 
 
-def diagnosed(job: Job[Settings, Files]) -> AdjustedJob:
+def diagnosed(job: Job[Settings, Files], remove: bool = False) -> AdjustedJob:
     """Return the adjusted job in the form that diagnosis needs, with all readings; raises as `run` does."""
-    return adjusted_job(_located(job, replace(_how(job), remove=False, explain=False))[0])
+    return adjusted_job(_located(job, replace(_how(job), remove=remove, explain=False))[0])
 
 
 def _how(job: Job[Settings, Files]) -> How:
@@ -120,5 +122,7 @@ TASK = Task(
     effects=EFFECTS,
     places=PLACES,
     covariates=covariates,
+    other_settings=other_weather,
+    cleared=partial(diagnosed, remove=True),
     answers={"compare": compare},
 )

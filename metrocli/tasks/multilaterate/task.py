@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -26,6 +27,7 @@ from metrocli.tasks.multilaterate.simulation import simulated
 from metrocli.tasks.multilaterate.solve import AdjustedTracers, solve
 from metrocli.tasks.shared.features.requested import requested_features
 from metrocli.tasks.shared.noise import weighed
+from metrocli.tasks.shared.weather import other_weather
 
 
 def run(job: Job[Settings, Files]) -> Result:
@@ -68,10 +70,10 @@ def check(job: Job[Settings, Files]) -> None:
             requested_features(settings.features, files.probing)
 
 
-def diagnosed(job: Job[Settings, Files]) -> AdjustedJob:
-    """Return the adjusted job in the form that diagnosis needs, with all lengths; raises as `run` does."""
+def diagnosed(job: Job[Settings, Files], remove: bool = False) -> AdjustedJob:
+    """Return the adjusted job in the form that diagnosis needs, by default with all lengths; raises as `run` does."""
     network = build(job.settings, job.files).with_effects(job.effects)
-    solved, _ = weighed(job.settings.noise.model, network, lambda network: solve(network, remove=False))
+    solved, _ = weighed(job.settings.noise.model, network, lambda network: solve(network, remove))
     adjusted = adjusted_job(solved)
     return replace(
         adjusted,
@@ -117,5 +119,7 @@ TASK = Task(
     EFFECTS,
     PLACES,
     covariates=covariates,
+    other_settings=other_weather,
+    cleared=partial(diagnosed, remove=True),
     result_answers={"distance": lambda result, points: (distance(result, points[0], points[1]),)},
 )

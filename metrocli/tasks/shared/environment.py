@@ -24,6 +24,7 @@ from metrocli.instruments.tracer import AIR
 from metrocli.result import SCALE, Estimate
 from metrocli.settings import UNKNOWN, Choice, KnownQuantity, QuantityLimits, Section, Uncertain, WithUnit, setting
 from metrocli.table import Table, columns
+from metrocli.tasks.shared.weather import in_another_unit, remarks
 
 WEATHER = columns("pressure? [pressure]", "humidity? [humidity]")
 """Columns of a reading's own weather, besides its temperature"""
@@ -169,16 +170,17 @@ def air_of(environment: Environment | None, table: Table, by: str = "") -> Air |
 
 
 def unused(environment: Environment | None, table: Table) -> tuple[str, ...]:
-    """Return a warning of weather that a job gives in vain: columns without `environment:`, or entries beside a column.
+    """Return warnings of weather in another unit, and of columns without `environment:` or entries beside a column.
 
     The standard uncertainty of such an entry is used.
     """
     if environment is not None:
-        return tuple(
+        beside = (
             f"environment: the value of {name} is not used, since {table.file} has the column {_HEADINGS[name]}"
             for name, column in _COLUMNS.items()
             if column in table and not np.isnan(getattr(environment, name).value)
         )
+        return (*beside, *remarks(table))
     columns = [_HEADINGS[name] for name in ("pressure", "humidity") if name in table]
     if not columns:
         return ()
@@ -193,7 +195,12 @@ def _values(environment: Environment, table: Table, name: str) -> Array:
         wrong = np.flatnonzero((values < limits.low) | (values > limits.high))
         if wrong.size:
             text = f"is outside {limits.text}"
-            raise InputError(table.faults_at(wrong, lambda row: f"{name}: {values[row]:g} {text}"))
+            faults = table.faults_at(
+                wrong,
+                lambda row: f"{name}: {values[row]:g} {text}",
+                lambda row: in_another_unit(table, column, float(values[row])),
+            )
+            raise InputError(faults)
         return values
     if np.isnan(given):
         text = f"environment: the {name} of the air is missing"

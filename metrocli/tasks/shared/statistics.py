@@ -165,12 +165,19 @@ def noise_warnings(solution: Solution, cures: Collection[str] = (ESTIMATED, REMO
     return [_noise_sentence(solution, "larger", low, high, cures)]
 
 
+_OF_A_UNIT = 1e-4, 0.05
+"""sigma0 of readings in another unit: above that of simulated ones without noise, and below any real one"""
+
+
 def noise_notes(solution: Solution, cures: Collection[str] = (ESTIMATED, REMOVE)) -> list[str]:
     """Return a note if sigma0 is below its 95 % interval: the readings scatter less than declared."""
     low, high = chi_interval(solution)
     if not solution.sigma0 < low:
         return []
-    return [_noise_sentence(solution, "smaller", low, high, cures)]
+    exact, unlike = _OF_A_UNIT
+    times = f"{1 / max(solution.sigma0, exact):.0f} times"
+    unit = f"; they are {times} smaller: look at the units of the readings and of the noise"
+    return [_noise_sentence(solution, "smaller", low, high, cures) + unit * (exact < solution.sigma0 < unlike)]
 
 
 def _noise_sentence(solution: Solution, word: str, low: float, high: float, cures: Collection[str]) -> str:

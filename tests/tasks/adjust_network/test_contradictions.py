@@ -161,3 +161,13 @@ def test_a_station_whose_distances_have_another_scale_is_doubtful_and_named(tmp_
     change[net.station == 1, 2] = 0.02 * net.seen[net.station == 1, 2]
     ran = metrocli("adjust-network", net.with_effect(change).write(tmp_path, more="outliers: remove\n"))
     assert ran.code == 6 and "readings of station S2 are left out as outliers (" in ran.out, ran.out
+
+
+@pytest.mark.parametrize("wrong", [length, height])
+def test_a_job_without_its_outliers_is_diagnosed(
+    wrong: Callable[[Network], Network], tmp_path: Path, metrocli: Metrocli
+) -> None:
+    """The adjustment of all readings fails, and advised `outliers: remove` to a job that has it."""
+    ran = metrocli("diagnose", wrong(hall()).write(tmp_path, more="outliers: remove\n"), "--quick")
+    assert ran.code == 0, ran.err
+    assert "without the reading that `outliers: remove` leaves out" in ran.out

@@ -167,3 +167,16 @@ def test_of_many_lines_no_single_one_is_tried(job: Path) -> None:
         words = [mistake.words for mistake, _ in other_settings(content(load(job)), False)]
         assert any(" of line " in one for one in words) == tried
         assert "ex has the wrong sign" in words
+
+
+@pytest.mark.parametrize("factor", [1000.0, 30.0, 0.001])
+def test_the_unit_of_displacement_alone(factor: float, job: Path, metrocli: Metrocli) -> None:
+    """Residuals that fall with the unit show nothing by themselves: an axis that is off by 3 % of its travel does."""
+    file = job.parents[1] / "data" / "displacement.csv"
+    rows = [line.split(",") for line in file.read_text().splitlines()]
+    for row in rows[1:]:
+        row[3] = repr(float(row[3]) * factor)
+    file.write_text("".join(",".join(row) + "\n" for row in rows))
+    ran = metrocli("calibrate-machine", job.with_name("displacement.yaml"))
+    assert ("ex_mm is in um: read so" in ran.out + ran.err) == (factor == 1000)
+    assert ("983 times smaller: look at the units of the readings and of the noise" in ran.out) == (factor < 1)

@@ -125,3 +125,20 @@ def test_no_adjustment_is_below_the_least_sum_of_squares(chain: str) -> None:
     least = least_square(unit_noise(start.readings[0]), start.blocks)
     found = float((solved.readings[0].residuals(solved.blocks) ** 2).sum())
     assert 0.7 * found < least < 1.005 * found
+
+
+@pytest.mark.parametrize(("factor", "unit"), [(1e-3, "m"), (1 / 25.4, "inches")])
+def test_the_positions_of_one_station_in_another_unit_are_named(
+    factor: float, unit: str, job: Path, metrocli: Metrocli
+) -> None:
+    """The lengths of the station were refused as those of another set-up."""
+    path, text = job.parent / "lengths.csv", []
+    for line in path.read_text().splitlines():
+        cells = line.split(",")
+        if "S2" in cells:
+            at = [text[0].split(",").index(f"{axis}_mm") for axis in "xyz"]
+            cells = [str(float(cell) * factor) if i in at else cell for i, cell in enumerate(cells)]
+        text.append(",".join(cells))
+    path.write_text("\n".join(text) + "\n")
+    ran = metrocli("calibrate-machine", job)
+    assert ran.code == 3 and f"x_mm, y_mm and z_mm of station S2 are in {unit}: read so" in ran.err, ran.err

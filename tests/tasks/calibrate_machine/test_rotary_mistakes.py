@@ -43,6 +43,24 @@ def test_a_mistake_is_named(name: str, tmp_path: Path, metrocli: Metrocli, monke
     assert not Path("wrong.h5").exists()
 
 
+OF_A_BALL = {"has the wrong sign": -1.0, "is in rad": 0.0174532925}
+
+
+@pytest.mark.parametrize("words", OF_A_BALL)
+def test_the_ball_whose_angles_are_wrong_is_named(words: str, tmp_path: Path, metrocli: Metrocli) -> None:
+    """It had passed for a ball that is 1e5 times as noisy as the others."""
+    shutil.copytree(SAMPLES / "five-axis", tmp_path, dirs_exist_ok=True)
+    data, rows = tmp_path / "data" / "after.csv", []
+    for line in FEW(data.read_text()).splitlines():
+        cells = line.split(",")
+        if cells[0] == "K1":
+            cells[5] = f"{float(cells[5]) * OF_A_BALL[words]:.9f}"
+        rows.append(",".join(cells))
+    data.write_text("\n".join(rows) + "\n")
+    ran = metrocli("diagnose", tmp_path / "jobs" / "after.yaml", "--quick")
+    assert f"c_deg of ball K1 {words}" in ran.out, ran.out + ran.err
+
+
 def polar(text: str) -> str:
     """Give the points of a tracker as distance, azimuth and elevation."""
     head, *rows = [line.split(",") for line in text.splitlines()]

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from metrocli.formats import hdf5
 
-Metrocli = Callable[..., object]
+Metrocli = Callable[..., Any]
 JOB = """metrocli: 1
 job: locate-launch-unit
 inputs: {poses: new/poses.csv, places: places.csv}
@@ -226,3 +228,18 @@ def test_what_of_a_bad_pose_is_not_seen_has_no_standard_deviation(
     assert all(part["std"] is None and part["unseen"] for part in parts.values())
     assert " ".join(text.split()).count("mm (not seen)") >= 3
     assert metrocli("locate-launch-unit", found["extended_job"]).code == 0  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("removes", [False, True])
+def test_a_wrong_distance_is_no_wrong_unit(removes: bool, tmp_path: Path, metrocli: Metrocli) -> None:
+    """All positions in um would bring a distance of 4 m too much nearer, and were advised."""
+    metrocli("init", tmp_path / "p", "--sample", "xm60-launch-unit")
+    job, data = tmp_path / "p" / "jobs" / "table.yaml", tmp_path / "p" / "data" / "table.csv"
+    data.write_text(re.sub(r"(?m)^(A3,(?:[^,]+,){8})(\d+)", lambda m: f"{m[1]}{int(m[2]) + 4000}", data.read_text()))
+    job.write_text(job.read_text() + "outliers: remove\n" * removes)
+    ran, diagnosed = metrocli("locate-launch-unit", job), metrocli("diagnose", job, "--quick")
+    assert (ran.code, diagnosed.code) == ((0, 0) if removes else (5, 5)), diagnosed.err
+    words = (
+        "without the reading that `outliers: remove` leaves out" if removes else "without the distance of A3 it does"
+    )
+    assert words in diagnosed.out + diagnosed.err and "_um" not in ran.err + diagnosed.out + diagnosed.err

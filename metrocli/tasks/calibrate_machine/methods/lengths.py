@@ -17,7 +17,7 @@ from metrocli.errors import Fault, InputError
 from metrocli.instruments import tracer as t
 from metrocli.instruments.axes.kinematics import reach
 from metrocli.instruments.axes.rotary import gauge
-from metrocli.instruments.machine import AXES, TOOL, Machine
+from metrocli.instruments.machine import AXES, TOOL
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine.described import commanded, error_blocks, machine_of, must_support
 from metrocli.tasks.calibrate_machine.files import NO_FILES, Files
@@ -69,7 +69,7 @@ def lengths(settings: Settings, table: Table, files: Files = NO_FILES) -> Machin
     extent = float(np.ptp(places, axis=0).max()) or 1.0
     seen = LengthsToTracers(read_by, np.arange(len(table)), places, table.numbers("length"), extent, file=table.file)
     station_block = t.tracer_block(
-        _places(seen, machine), read_by.names, read_by.free(False, settings.scale is not None), extent
+        _places(seen), read_by.names, read_by.free(False, settings.scale is not None), extent
     )
     if not machine.turns:
         refuse_backwards(station_block.values[:, :3], seen)
@@ -105,18 +105,19 @@ def lengths(settings: Settings, table: Table, files: Files = NO_FILES) -> Machin
     )
 
 
-def _places(seen: LengthsToTracers, machine: Machine) -> Array:
+def _places(seen: LengthsToTracers) -> Array:
     """Return the places of the stations at the start; raises InputError if no place fits their lengths.
 
-    Where axes turn, chain, sense or `at` may be wrong: a fault without a hint lets a task try them.
+    Positions, chain, sense or `at` may be wrong: a fault without a hint lets a task try them.
     """
     try:
         return places_of(seen)
     except InputError as error:
-        if not machine.turns:
-            raise
         nothing = [(fault.hint or "").startswith(NOTHING_FITS) for fault in error.faults]
-        faults = [replace(f, hint=None) if none else f for f, none in zip(error.faults, nothing, strict=True)]
+        faults = [
+            replace(fault, message=f"{fault.message}\n       {fault.hint}", hint=None) if none else fault
+            for fault, none in zip(error.faults, nothing, strict=True)
+        ]
         raise InputError(faults) from error
 
 

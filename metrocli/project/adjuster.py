@@ -1,0 +1,54 @@
+"""What adjusts a job for its diagnosis: with all readings, without outliers, or with other settings."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+
+from metrocli import tasks
+from metrocli.diagnosis.adjusted_job import AdjustedJob
+from metrocli.diagnosis.job_entries import declared_noise, model_of
+from metrocli.diagnosis.trials import Others
+from metrocli.effects.acting import Variable
+from metrocli.effects.own import columns
+from metrocli.errors import UsageError
+from metrocli.project.job import JobFile
+
+Adjuster = Callable[..., AdjustedJob]
+
+
+def adjuster(job: JobFile, more: Sequence[Variable] = (), adjusted: Adjuster | None = None) -> Adjuster:
+    """Return what adjusts a job, by default with all readings; raise UsageError if its kind has no diagnosis.
+
+    `more` are variables of laws beside those that its kind has everywhere.
+    """
+    task = tasks.KINDS[job.kind].task()
+    adjusts = adjusted or task.diagnosed
+    if adjusts is None:
+        raise UsageError(f"{job.kind} jobs cannot be diagnosed")
+    declared, model = declared_noise(job.root.get("noise")), model_of(job.root.get("noise"))
+    places = columns.with_variables(task.places, more)
+
+    def adjust(inputs: Mapping[str, object], settings: object = job.settings) -> AdjustedJob:
+        other = adjusts(task.job(settings, effects=job.effects, **inputs))
+        every = (*other.effects, *job.own.effects)
+        stated = task.covariates is not None
+        other = replace(other, declared=declared, noise_model=model, states_correlated=stated)
+        return replace(other, effects=every, places=places)
+
+    return adjust
+
+
+def cleared(job: JobFile, more: Sequence[Variable] = ()) -> Adjuster | None:
+    """Return what adjusts a job without its outliers, if it removes them and its kind can do so for a diagnosis."""
+    clears = tasks.KINDS[job.kind].task().cleared
+    removes = getattr(job.settings, "outliers", "") == "remove"
+    return adjuster(job, more, clears) if removes and clears is not None else None
+
+
+def others_of(job: JobFile, inputs: Mapping[str, object], adjust: Adjuster) -> Others:
+    """Return the other settings of a job, each with what adjusts it."""
+    task = tasks.KINDS[job.kind].task()
+    trials = partial(task.jobs_with_others, task.job(job.settings, effects=job.effects, **inputs))
+    return lambda *how: [(wrong, partial(adjust, vars(trial.files), trial.settings)) for wrong, trial in trials(*how)]
