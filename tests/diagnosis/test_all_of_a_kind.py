@@ -86,6 +86,19 @@ def test_a_list_that_is_uncertain_throughout_is_one_finding(
     assert (again["verdict"], again["effects"]) == ("clean", [])
 
 
+def test_the_extended_job_has_the_noise_beside_which_the_size_was_found(
+    measured: Callable[[np.ndarray, int], Path], metrocli: Metrocli
+) -> None:
+    """With the declared noise, six times as large, a list of a stated size would weigh six times as much."""
+    job = measured(listed() + np.random.default_rng(32).normal(0, 0.1, listed().shape), 1)
+    job.write_text(JOB.replace("0.03 px", "0.2 px"))
+    report = metrocli("diagnose", job).out
+    assert "the job extended by the named effects and with `noise: estimated`, and diagnose it again" in report
+    assert "noise: estimated" in Path("job.extended.yaml").read_text()
+    again = json.loads(metrocli("diagnose", "job.extended.yaml", "--json").out)
+    assert (again["verdict"], again["effects"]) == ("clean", [])
+
+
 def test_the_first_answer_is_one_finding_too(measured: Callable[[np.ndarray, int], Path], metrocli: Metrocli) -> None:
     """It had named nearly every target, and each reading of the noisier image as a wrong one."""
     job = measured(listed() + np.random.default_rng(33).normal(0, 0.1, listed().shape), 4)

@@ -11,8 +11,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from places import SHARED
+
+from benchmarks.real.boards import Model, fitted, planted
+from benchmarks.real.sets import BOARDS, LENS
+from metrocli.project.diagnosed import carry_out
+from metrocli.project.job import load
 
 DATA = SHARED / "data" / "opencv-chessboards"
 pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason=f"no measured data at {DATA}")
@@ -61,3 +67,16 @@ def test_radial_terms_the_bend_of_the_board_and_decentring_are_named_on_real_vie
     assert data["verdict"] in ("unexplained", "indistinct")
     ran = metrocli("calibrate-camera", "pinhole.extended.yaml")
     assert ran.code in (0, 6) and "k1" in ran.out  # doubtful where so many terms leave the corners uncertain
+
+
+@pytest.mark.slow
+def test_a_large_prism_in_real_views_is_no_smooth_error(tmp_path: Path) -> None:
+    """About the solution without it, a smooth shift over the image explained more than any term of the lens."""
+    views = next(one for one in BOARDS if one.name == "sony-chess")
+    board = views.read(tmp_path).only(np.array([1, 4, 5, 6, 7, 8, 9, 10]))
+    sizes = 0.49, -0.45
+    board = planted(board, fitted(board, Model(LENS)), "thin-prism", {}, sizes)
+    found = carry_out(load(views.job(tmp_path / "planted", board, LENS)))
+    (prism,) = found.findings
+    assert (found.verdict, str(prism.effect.alternative)) == ("explained", "thin-prism")
+    assert prism.effect.values == pytest.approx(sizes, abs=0.02)
