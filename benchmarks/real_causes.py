@@ -11,6 +11,7 @@ published of it. The data are not part of the project: most stand in ../shared/d
 of an endoscope come from the package index. Sets that are absent are named and left out.
 
     python -m benchmarks real_causes [SET ...]    # left right ... plaza1 ... cam01 ... endoscope
+    python -m benchmarks real_causes parts [SEED]    # of each board some images, drawn at random
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ import numpy as np
 from benchmarks.bars import Rate
 from benchmarks.real import boards, network, ranges, survey
 from benchmarks.real.boards import COLUMNS, OF_TARGET, Board, Model
-from benchmarks.real.sets import BOARDS, DATA, DRIVES, FETCHED, LENS, BoardSet, ranges_job
+from benchmarks.real.sets import BOARDS, DATA, DRIVES, FETCHED, LENS, BoardSet, PartOfBoard, ranges_job
 from metrocli.diagnosis.verdict import as_data
 from metrocli.project.diagnosed import carry_out, write_extended
 from metrocli.project.job import JobOptions, load
@@ -346,25 +347,38 @@ def rates(cases: Sequence[Case]) -> Iterator[Rate]:
     yield Rate("extended job clean or explained", clean, len(after), least=0.90)
 
 
+def _sets(folder: Path, seed: int | None) -> Iterator[tuple[str, Iterator[Case]]]:
+    """Yield the name and the cases of each set that is at hand; with a seed, of a part of each board."""
+
+    def drawn(sets: Sequence[BoardSet]) -> Iterator[tuple[str, Iterator[Case]]]:
+        for whole in sets:
+            one = whole if seed is None else PartOfBoard.of(whole, seed)
+            yield one.name, of_board(one, folder / one.name)
+
+    if DATA.is_dir():
+        yield from drawn(BOARDS)
+    else:
+        print(f"no measured data at {DATA}")
+    if DATA.is_dir() and seed is None:
+        yield from ((drive, of_drive(drive, folder / drive)) for drive in DRIVES)
+        yield from ((title, cases_of(title, folder / title)) for title, cases_of in OTHERS.items())
+    for images, sets in FETCHED.items():
+        try:
+            images.fetch()
+        except OSError as error:
+            print(f"the images of {images.project} cannot be fetched ({error})")
+        else:
+            yield from drawn(sets)
+
+
 def main(arguments: list[str]) -> int:
     """Print each case and the rates; return 1 where a bar is not met."""
     cases: list[Case] = []
+    parts = arguments[:1] == ["parts"]
+    seed = int(arguments[1]) if parts and arguments[1:] else 1 if parts else None
     with tempfile.TemporaryDirectory() as name:
-        made: dict[str, Iterator[Case]] = {}
-        if DATA.is_dir():
-            made |= {one.name: of_board(one, Path(name) / one.name) for one in BOARDS}
-            made |= {drive: of_drive(drive, Path(name) / drive) for drive in DRIVES}
-            made |= {title: cases_of(title, Path(name) / title) for title, cases_of in OTHERS.items()}
-        else:
-            print(f"no measured data at {DATA}")
-        for images, sets in FETCHED.items():
-            try:
-                images.fetch()
-                made |= {one.name: of_board(one, Path(name) / one.name) for one in sets}
-            except OSError as error:
-                print(f"the images of {images.project} cannot be fetched ({error})")
-        for title, found in made.items():
-            if not arguments or title in arguments:
+        for title, found in _sets(Path(name), seed):
+            if parts or not arguments or title in arguments:
                 (Path(name) / title).mkdir(parents=True, exist_ok=True)
                 for one in found:
                     print(one, flush=True)

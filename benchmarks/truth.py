@@ -53,6 +53,7 @@ def campaigns(count: int) -> dict[str, list[str]]:
         "laws of no catalogue": ["random_laws", f"{FIRST}-{FIRST + few - 1}"],
         "beside realistic rest": ["smooth_rest", str(few)],
         "planted in real measurements": ["real_causes"],
+        "planted in parts of real boards": ["real_causes", "parts", "4"],
         "series, drifts and shapes planted in real images": ["real_states"],
         "detectable and hidden sizes": ["stated_sizes", f"{FIRST}-{FIRST + max(count // 12, 4)}"],
         "mistakes in files of networks": ["network_mistakes", str(max(count // 10, 4))],

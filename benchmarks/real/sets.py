@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +26,8 @@ camera: {{image_size: [{width}, {height}], estimate: [{estimate}]}}
 noise: {noise} px
 output: camera.h5
 """
+_FEWEST = 5
+"""Images of a part"""
 RANGES = """metrocli: 1
 job: multilaterate
 inputs: {{lengths: {stem}_lengths.csv, points: {stem}_points.csv, tracers: {stem}_tracers.csv}}
@@ -79,6 +81,27 @@ class BoardSet:
         text = JOB.format(stem="board", width=width, height=height, estimate=names, noise=self.noise)
         (folder / "job.yaml").write_text(text, encoding="utf-8")
         return folder / "job.yaml"
+
+
+@dataclass(frozen=True)
+class PartOfBoard(BoardSet):
+    """Some of the images of a board, drawn at random: a smaller set of another geometry."""
+
+    whole: BoardSet | None = None
+    seed: int = 0
+
+    @classmethod
+    def of(cls, whole: BoardSet, seed: int) -> PartOfBoard:
+        """Return at least five of the images of a set, chosen by a seed."""
+        known = {each.name: getattr(whole, each.name) for each in fields(BoardSet)}
+        return cls(**known | {"name": f"{whole.name} part {seed}"}, whole=whole, seed=seed)
+
+    def read(self, folder: Path) -> Board:
+        """Return the corners of the images that are drawn."""
+        board = (self.whole or self).read(folder)
+        rng = np.random.default_rng([self.seed, *self.name.encode()])
+        count = int(rng.integers(min(_FEWEST, len(board.images)), len(board.images) + 1))
+        return board.only(np.sort(rng.permutation(len(board.images))[:count]))
 
 
 BOARDS = (
