@@ -52,43 +52,19 @@ def without_mistakes(
     too few to have one cause; of a failure in which most readings fit, only those of rows. If none explains a failure,
     many may be left out; else the exception is raised.
     """
-    failure: Exception | None = None
-    job, misfits, before = None, Misfit(np.inf, np.inf, np.inf), np.inf
-    try:
-        job = adjust(inputs)
-        misfits = misfit_of(job)
-        before = misfits.worst
-    except FAILURES as error:
-        failure = error
+    job, failure = _attempted(adjust, inputs)
+    misfits = Misfit(np.inf, np.inf, np.inf) if job is None else misfit_of(job)
     # a plausible job may still have another chain, which the readings show without being absurd
-    if job is not None and before <= 1:
+    if job is not None and misfits.worst <= 1:
         better = with_other_setting(job, others)
         return (job, None) if better is None else (better.job, better)
-    rest = None
-    if cleared is not None:
-        try:
-            rest = cleared(inputs)
-        except FAILURES as error:
-            failure = failure and error  # as the task ends
+    rest, as_the_task = (None, None) if cleared is None else _attempted(cleared, inputs)
+    failure = failure and (as_the_task or failure)
     if rest is not None and rest.left_out < MANY_LEFT_OUT and misfit_of(rest).worst <= 1:
         return rest, None
-    rows_alone = isinstance(failure, NoSolutionError) and not _unexplained(failure)
-    tried = [
-        (misfit.worst, mistake, other)
-        for mistake, misfit, other in adjusted_trials(
-            trial
-            for trial in _readings_of(inputs, adjust, others, unplaced, failure)
-            if not rows_alone or trial[0].sort == ROWS
-        )
-        if misfit.worst <= 1
-        and misfit.worst * BETTER <= before * mistake.shrinks
-        and not misfits.spoilt_alike(misfit, mistake.shrinks)
-    ]
-    if tried:
-        alike = _as_good(tried)
-        # of equals the likeliest is taken
-        after, _, best = alike[0]
-        return best, Mistaken(tuple(mistake for _, mistake, _ in alike), best, before, after)
+    corrected = _corrected(_readings_of(inputs, adjust, others, unplaced, failure), misfits, failure)
+    if corrected is not None:
+        return corrected.job, corrected
     job = job or rest
     if job is None:
         raise failure or RuntimeError("a job that gave nothing")
@@ -96,8 +72,37 @@ def without_mistakes(
     better = with_other_setting(job, others)
     if better is not None and misfit_of(better.job).worst <= 1:
         return better.job, better
-    # readings that fit places which no list has: no unit and no axis mends that
-    return job, Mistaken((ELSEWHERE,), job, before, before) if misfits.residuals < 1 < misfits.places else None
+    if misfits.residuals < 1 < misfits.places:
+        # readings that fit places which no list has: no unit and no axis mends that
+        return job, Mistaken((ELSEWHERE,), job, misfits.worst, misfits.worst)
+    return job, None
+
+
+def _attempted(adjust: Adjust, inputs: Inputs) -> tuple[AdjustedJob | None, MetrocliError | None]:
+    """Return the adjusted job, or the error with which it ends."""
+    try:
+        return adjust(inputs), None
+    except FAILURES as error:
+        return None, error
+
+
+def _corrected(trials: Iterable[Trial], before: Misfit, failure: MetrocliError | None) -> Mistaken | None:
+    """Return the corrections with which a job is plausible, and far better than before; None without any."""
+    rows_alone = isinstance(failure, NoSolutionError) and not _unexplained(failure)
+    tried = [
+        (misfit.worst, mistake, other)
+        for mistake, misfit, other in adjusted_trials(
+            trial for trial in trials if not rows_alone or trial[0].sort == ROWS
+        )
+        if misfit.worst <= 1
+        and misfit.worst * BETTER <= before.worst * mistake.shrinks
+        and not before.spoilt_alike(misfit, mistake.shrinks)
+    ]
+    if not tried:
+        return None
+    # of equals the likeliest is taken
+    (after, _, best), *_ = alike = _as_good(tried)
+    return Mistaken(tuple(mistake for _, mistake, _ in alike), best, before.worst, after)
 
 
 def misfit_ratio(job: AdjustedJob) -> float:
@@ -109,7 +114,7 @@ def misfit_ratio(job: AdjustedJob) -> float:
 
 
 def _readings_of(
-    inputs: Inputs, adjust: Adjust, others: Others, unplaced: Collection[str], failure: Exception | None
+    inputs: Inputs, adjust: Adjust, others: Others, unplaced: Collection[str], failure: MetrocliError | None
 ) -> Iterator[tuple[Mistake, Callable[[], AdjustedJob]]]:
     """Yield each possible mistake, with what adjusts the job without it: first those that the kind of job knows.
 

@@ -135,15 +135,19 @@ def _located(readings: AlignedPoses, noise: LaunchUnitNoise, how: How) -> Locate
     if solution.undetermined or solution.outcome is Outcome.TOO_FEW:
         raise UndeterminedError(_undetermined(problem, solution), solution.misfit)
     gone: tuple[SuspectedPose, ...] = ()
-    if not solution.outcome.good:
+    if not solution.outcome.good or solution.sigma0 > _ABSURD:
         fewer = without_worst_distance(problem)
-        if fewer is None or not how.remove:
+        fits = fewer is not None and not fewer[0].sigma0 > _ABSURD
+        if fewer is not None and how.remove:
+            solution, gone = fewer[0], (fewer[1],)
+        elif fits or not solution.outcome.good:
             failed, misfit = f"{solution.outcome.value} ({solution.iterations} steps)", solution.misfit
-            if fewer is not None and not fewer[0].sigma0 > _ABSURD:
-                failed += f"; without the distance of {fewer[1].pose} it does: correct it, or `outliers: remove`"
+            if solution.outcome.good:
+                failed = f"the readings contradict each other (sigma0 = {solution.sigma0:.3g})"
+            if fewer is not None and fits:
+                failed += f"; without the distance of {fewer[1].pose} the rest fits: correct it, or `outliers: remove`"
                 misfit = fewer[0].misfit  # what is left fits
             raise NotConvergedError(failed, misfit)
-        solution, gone = fewer[0], (fewer[1],)
     checked = screened(solution, [group.name for group in problem.groups], gone)
     used = checked.solution if how.remove else solution
     values = used.blocks[lu.UNIT].values[0].copy()

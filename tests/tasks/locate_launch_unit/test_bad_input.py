@@ -144,7 +144,7 @@ def test_one_gross_distance_is_left_out_though_nothing_converges_with_it(seed: i
     given = anywhere(8, seed, distances=True).noisy(np.random.default_rng(seed))
     assert given.distance is not None
     wrong = replace(given, distance=given.distance * np.where(np.arange(8) == pose, factor, 1.0))
-    with pytest.raises(NotConvergedError, match=f"without the distance of P{pose} it does: correct it, or"):
+    with pytest.raises(NotConvergedError, match=f"without the distance of P{pose} the rest fits: correct it, or"):
         locate_launch_unit.run(locate_launch_unit.TASK.job(settings(), wrong.table()))
     job = locate_launch_unit.TASK.job(replace(settings(), outliers="remove"), wrong.table())
     result = locate_launch_unit.run(job)
