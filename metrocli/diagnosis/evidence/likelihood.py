@@ -183,7 +183,7 @@ class Fit:
         if len(products.own) and products.of_local.size:
             left, shared = np.swapaxes(self.half, 1, 2), self.shown[:, :, :-1]
             sizes = (left @ (self.shown[:, :, -1] - shared @ self.sizes)[:, :, None])[:, :, 0]
-            across = solved(self.lower, shared.reshape(-1, shared.shape[2]).T).T.reshape(shared.shape)
+            across = np.moveaxis(solved(self.lower, np.moveaxis(shared, 2, 0)), 0, 2)
             posterior = left @ (across @ np.swapaxes(across, 1, 2) + np.eye(shared.shape[1])) @ self.half
             for j, (a, b) in _stretches(products.of_local):
                 unsettled, count = posterior[:, a:b, a:b], len(posterior) * (b - a)

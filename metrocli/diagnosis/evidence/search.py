@@ -102,10 +102,12 @@ def _best(state: State, possible: Sequence[Move]) -> State | None:
             tried.append(_kept(_with_all_readings(move.made(state)), move))
         else:
             tried.append((*move.tried(state), move))
-        # both are tried, since a correlated error that enters first takes the place of the effects that it resembles
-        if move.is_correlated:
-            named = _with_all_effects(state) if named is None else named
-            tried += [_kept(move.made(named), move)] if named is not state else []
+        # tried beside effects and against them: one that enters first takes the place of the effects that it resembles
+        if move.is_correlated and named is None:
+            named = _with_all_effects(state)
+            tried += [_kept(named, move)] if named is not state else []
+        if move.is_correlated and named is not None and named is not state:
+            tried.append(_kept(move.made(named), move))
         # beside fixed parts alone quick gains are exact, so that the second best cannot be better
         if not state.random and move.fixed:
             break

@@ -211,7 +211,7 @@ class State(Scored):
         p, scale = len(self.fit.lower), np.exp(self.logs[self.fit.products.of_local] / 2)
         errors = (self.fit.half * scale) @ products_of_members(self.measurement, self.random, (name, columns), cache)
         flat = errors.reshape(-1, errors.shape[2])
-        taken = self.fit.shown[:, :, :p].reshape(-1, p).T @ flat
+        taken = np.tensordot(self.fit.shown[:, :, :p], errors, ((0, 1), (0, 1)))
         return np.concatenate([flat, solved(self.fit.lower, self._with_parts(name, products, cache) - taken)])
 
     def gram(self, name: object, columns: Columns) -> Array:
