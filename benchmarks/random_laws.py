@@ -33,8 +33,8 @@ from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.findings import Diagnosis, Verdict
 from metrocli.diagnosis.job_entries import as_job, scatter_as_job
 from metrocli.diagnosis.laws.definition import as_define, as_wanted, written
+from metrocli.diagnosis.laws.law import Law
 from metrocli.diagnosis.laws.library import Library
-from metrocli.diagnosis.laws.search import Law
 from metrocli.diagnosis.linear.linearised import linearised
 from metrocli.effects import requested
 from metrocli.effects.own import define

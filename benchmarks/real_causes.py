@@ -380,9 +380,12 @@ def main(arguments: list[str]) -> int:
         for title, found in _sets(Path(name), seed):
             if parts or not arguments or title in arguments:
                 (Path(name) / title).mkdir(parents=True, exist_ok=True)
-                for one in found:
-                    print(one, flush=True)
-                    cases.append(one)
+                try:
+                    for one in found:
+                        print(one, flush=True)
+                        cases.append(one)
+                except np.linalg.LinAlgError as error:
+                    print(f"{title}: the adjustment that plants the effects ends ({error})", flush=True)
     listed = [rate for rate in rates(cases) if rate.of]
     for rate in listed:
         print(rate)

@@ -27,7 +27,8 @@ from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.explanations import correlated_errors, noise_instead, random_effects, smooth, with_confirmed
 from metrocli.diagnosis.extended_fit import extended_fit, linear_change, readings_kept, result_changes, sizes
 from metrocli.diagnosis.findings import UNREACHED, Diagnosis, Finding, RemainingStructure, Unconfirmed
-from metrocli.diagnosis.laws.search import Law, stood_for, with_laws
+from metrocli.diagnosis.laws.law import Law
+from metrocli.diagnosis.laws.search import stood_for, with_laws
 from metrocli.diagnosis.linear.memory import as_fits
 from metrocli.diagnosis.noise import VarianceGroup, noise_of
 from metrocli.diagnosis.power.collinear import separations

@@ -12,7 +12,7 @@ from metrocli.diagnosis.evidence.gain import Gain
 from metrocli.diagnosis.evidence.identified import IdentifiedEffect
 from metrocli.diagnosis.evidence.prices import LITTLE
 from metrocli.diagnosis.extended_fit import EffectSize
-from metrocli.diagnosis.laws.search import Law
+from metrocli.diagnosis.laws.law import Law
 from metrocli.diagnosis.linear.projection import READING
 from metrocli.diagnosis.noise import NoiseRatio, VarianceGroup
 from metrocli.diagnosis.trials import Mistaken

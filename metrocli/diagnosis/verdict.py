@@ -17,7 +17,7 @@ from metrocli.diagnosis.evidence.gain import Gain
 from metrocli.diagnosis.evidence.identified import Rival
 from metrocli.diagnosis.findings import Diagnosis, Finding, RandomEffect, RemainingStructure
 from metrocli.diagnosis.laws.definition import written
-from metrocli.diagnosis.laws.search import Law
+from metrocli.diagnosis.laws.law import Law
 from metrocli.diagnosis.linear.candidates import Candidate
 from metrocli.diagnosis.status import candidates, delivered
 from metrocli.diagnosis.trials import Mistaken

@@ -30,7 +30,7 @@ from metrocli.diagnosis.job_entries import (
     with_model,
 )
 from metrocli.diagnosis.laws.definition import as_define, as_wanted
-from metrocli.diagnosis.laws.search import Law
+from metrocli.diagnosis.laws.law import Law
 from metrocli.diagnosis.linear.memory import as_fits
 from metrocli.diagnosis.mistakes import without_mistakes
 from metrocli.effects.own import columns

@@ -19,7 +19,7 @@ from metrocli.diagnosis.evidence.refined import STARTS
 from metrocli.diagnosis.extended_fit import EffectSize
 from metrocli.diagnosis.findings import Diagnosis, Finding, RandomEffect
 from metrocli.diagnosis.job_entries import proposed_correlated, proposed_noise, proposed_variances
-from metrocli.diagnosis.laws.search import Law
+from metrocli.diagnosis.laws.law import Law
 from metrocli.diagnosis.wrong_readings import Outlier
 from metrocli.project.diagnosed import Extended
 from metrocli.words import in_a_row, listed

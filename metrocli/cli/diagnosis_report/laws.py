@@ -8,8 +8,8 @@ from metrocli import units
 from metrocli.cli.columns import text_table
 from metrocli.diagnosis.findings import Diagnosis
 from metrocli.diagnosis.laws.definition import written
+from metrocli.diagnosis.laws.law import Law
 from metrocli.diagnosis.laws.library import Term
-from metrocli.diagnosis.laws.search import Law
 from metrocli.diagnosis.laws.terms import goes_round
 
 _LISTED = 4

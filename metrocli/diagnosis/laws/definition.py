@@ -11,8 +11,8 @@ from fractions import Fraction
 from itertools import count
 from typing import Any
 
+from metrocli.diagnosis.laws.law import Law
 from metrocli.diagnosis.laws.library import Term
-from metrocli.diagnosis.laws.search import Law
 from metrocli.expressions.dimensions import Powers, base_unit, compound
 from metrocli.frozen import dataclass
 

@@ -44,6 +44,10 @@ class Lawful:
         """The terms, in the order in which they entered."""
         return tuple(term for term, _ in self.steps)
 
+    def columns(self, term: Term) -> Array:
+        """Return the whitened columns of one term, (rows, 1, factors)."""
+        return self.library.columns(term)[:, None]
+
     def plus(self, term: Term, part: Fixed) -> Lawful:
         """Return the state with one more term."""
         return Lawful(self.state.plus([part]), self.library, (*self.steps, (term, part)))
@@ -126,8 +130,9 @@ def forward(lawful: Lawful, price: float, most: int = MOST_TERMS) -> Lawful:
             break
         # a coarse scan can rank them wrongly: the nearest are compared at refined values
         near = [term for term in tried if term[0] > tried[0][0] - _NEAR][:_MOST_REFINED]
-        refined = [lawful.plus(*term) for _, number, at in near if _adds(term := _refined(lawful, number, at), lawful)]
-        best = max(refined, key=lambda term: term.state.score, default=lawful)
+        refined = [_refined(lawful, number, at) for _, number, at in near]
+        apart = [lawful.plus(*both) for both in refined if are_apart(lawful, both[0], lawful.columns(both[0]))]
+        best = max(apart, key=lambda term: term.state.score, default=lawful)
         if best is lawful or best.state.score < lawful.state.score + price:
             break
         lawful = best
@@ -183,40 +188,28 @@ def _refined(lawful: Lawful, family: int, number: int) -> tuple[Term, Fixed]:
         columns = np.stack([library.columns(refined) for refined in tried], axis=1)
         n, k, q = columns.shape
         left = state.seen(columns.reshape(n, k * q)).reshape(n, k, q)
-        apart = _apart(columns, left, _without_alike(lawful, term))
         right = (columns.reshape(n, k * q).T @ state.residual).reshape(k, q)
         gram = np.einsum("rkq,rkp->kqp", columns, left)
         gain, _ = quadratic(gram, right, np.sqrt(np.maximum(np.einsum("kqq->kq", grams_of(columns)), 1e-300)))
-        best = int(np.argmax(np.where(apart, gain, -1.0)))
+        best = int(np.argmax(np.where(are_apart(lawful, term, columns), gain, -1.0)))
         term = tried[best]
         low, high = (float(tried[at].form.scanned or 0.0) for at in (max(best - 1, 0), min(best + 1, _FINE - 1)))
     return _scanned(lawful, family, number, term)
 
 
-def _without_alike(lawful: Lawful, term: Term) -> State | None:
-    """Return the state without the terms that differ from one by their scanned value alone, None if it has none."""
-    own = term.spot, term.form.variables
-    alike = [part for other, part in lawful.steps if other.form.scanned and (other.spot, other.form.variables) == own]
-    return lawful.state.minus(alike) if alike and term.form.scanned else None
-
-
-def _apart(columns: Array, left: Array, without: State | None) -> Mask:
-    """Return whether the terms that are alike leave something of the columns (n, k, q) of terms, (k,).
+def are_apart(lawful: Lawful, term: Term, columns: Array) -> Mask:
+    """Return whether terms that differ by their scanned value alone leave something of columns (n, k, q) of k terms.
 
     Two waves of nearly one period, each a thousand times the law, would stand for one whose size changes.
     """
     n, k, q = columns.shape
-    if without is None:
+    own = term.spot, term.form.variables
+    alike = [part for other, part in lawful.steps if other.form.scanned and (other.spot, other.form.variables) == own]
+    if not alike or not term.form.scanned:
         return np.ones(k, dtype=bool)
-    before = without.seen(columns.reshape(n, k * q)).reshape(n, k, q)
-    squares: Array = (columns * (left - LITTLE * before)).sum(axis=(0, 2))
-    return np.asarray(squares >= 0)
-
-
-def _adds(term: tuple[Term, Fixed], lawful: Lawful) -> bool:
-    columns = lawful.library.columns(term[0])
-    left = lawful.state.seen(columns)
-    return bool(_apart(columns[:, None], left[:, None], _without_alike(lawful, term[0]))[0])
+    flat = columns.reshape(n, k * q)
+    left = lawful.state.seen(flat) - LITTLE * lawful.state.minus(alike).seen(flat)
+    return np.asarray((flat * left).reshape(n, k, q).sum(axis=(0, 2)) >= 0)
 
 
 def columns_of_terms(library: Library, terms: Sequence[Term]) -> np.ndarray:

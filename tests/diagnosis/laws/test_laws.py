@@ -26,8 +26,8 @@ from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.findings import Diagnosis, Verdict
 from metrocli.diagnosis.laws import steps
 from metrocli.diagnosis.laws.definition import as_define, as_wanted, written
+from metrocli.diagnosis.laws.law import near_effects
 from metrocli.diagnosis.laws.library import Library
-from metrocli.diagnosis.laws.search import near_effects
 from metrocli.diagnosis.laws.terms import TermForm, columns_of, forms_of
 from metrocli.diagnosis.linear.linearised import linearised
 from metrocli.diagnosis.status import status

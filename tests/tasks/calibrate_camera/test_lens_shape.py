@@ -20,7 +20,6 @@ from metrocli.diagnosis.evidence.parts import SCATTER
 from metrocli.diagnosis.linear.linearised import linearised
 from metrocli.diagnosis.noise import DECLARED_SIGMA, variance_groups
 from metrocli.diagnosis.rounds import searched
-from metrocli.effects.links.lens_shape import LensShape
 from metrocli.instruments.lenses.distortion import undistort
 from metrocli.project.diagnosed import adjusted_job_of, carry_out, write_extended
 from metrocli.project.job import load
@@ -117,23 +116,6 @@ def test_diagnose_names_a_shape(tmp_path: Path) -> None:
     _, state = searched(adjusted_job_of(load(path)))
     names = [state.measurement.scatters[one.key[0]][0].name for one in state.random if one.kind == SCATTER]
     assert names == ["lens-shape"] and state.variance == pytest.approx(1.0, rel=0.2)
-
-
-def test_a_shape_that_is_diagnosed_leaves_the_axes_of_the_sensor_alone(tmp_path: Path) -> None:
-    """Else it stands for a skew, as a shape of any size contains one."""
-    path = job(tmp_path, shaped=False)
-    path.write_text(JOB.replace(", model: spline", "").replace("estimated", "0.1 px"))
-    effect = next(effect for effect in adjusted_job_of(load(path)).effects if effect.name == "lens-shape")
-    assert effect.link is not None
-    link = effect.link("lens-shape", {})
-    assert isinstance(link, LensShape)
-    v, u = np.mgrid[0:720:4.0, 0:960:4.0].reshape(2, -1)
-    basis = link.knots.basis(np.stack([u, v]))
-    for shift in link.to_coefficients.reshape(2, -1, link.to_coefficients.shape[1]):
-        moved = basis @ shift
-        taken = np.linalg.qr(np.column_stack([np.ones_like(u), u, v]))[0]
-        # it is orthogonal on a coarser grid; without that a shape has ten times as much
-        assert np.linalg.norm(taken.T @ moved) < 0.06 * np.linalg.norm(moved)
 
 
 def test_diagnose_names_a_tilted_sensor(tmp_path: Path) -> None:

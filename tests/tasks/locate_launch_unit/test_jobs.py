@@ -240,6 +240,8 @@ def test_a_wrong_distance_is_no_wrong_unit(removes: bool, tmp_path: Path, metroc
     ran, diagnosed = metrocli("locate-launch-unit", job), metrocli("diagnose", job, "--quick")
     assert (ran.code, diagnosed.code) == ((0, 0) if removes else (5, 5)), diagnosed.err
     words = (
-        "without the reading that `outliers: remove` leaves out" if removes else "without the distance of A3 the rest fits"
+        "without the reading that `outliers: remove` leaves out"
+        if removes
+        else "without the distance of A3 the rest fits"
     )
     assert words in diagnosed.out + diagnosed.err and "_um" not in ran.err + diagnosed.out + diagnosed.err

@@ -32,8 +32,8 @@ LENS_SHAPE = Effect(
     lambda block, where: LensShape(_EXAMPLE, _BUMP, block),
     confused_with=("radial-distortion", "thin-prism", "sensor-tilt"),
     formula="(u, v) += sum_k B_k(u, v) (N R z)_k    # cubic B-splines on knots over the image",
-    note="It has no part that the estimated lens, a turn of the camera or an affinity of the sensor could take. "
-    "`std` is the size of the shift; `camera: {model: spline}` estimates that, too.",
+    note="It has no part that the estimated lens or a turn of the camera could take. `std` is the size of the shift; "
+    "`camera: {model: spline}` estimates that, too.",
     usual="0.02 to 3 px",
     reveal="corners all over the image, each place in several images with the board otherwise",
     source="mrcal, splined stereographic lens model; Patterson and Thompson 1971 for its size",
@@ -45,7 +45,7 @@ LENS_SHAPE = Effect(
 
 def lens_shape(problem: CameraProblem) -> Effect:
     """Return the effect beside the base lens of a calibration, with a parameter for each direction of its shape."""
-    link = link_free_of_base(problem, affinity=True)
+    link = link_free_of_base(problem)
     values, vectors = np.linalg.eigh(np.mean(kernels(link, problem.image_size), axis=0))
     kept = values > _LEAST_VARIANCE * values[-1]
     modes: Array = link.to_coefficients @ (vectors[:, kept] * np.sqrt(values[kept]))

@@ -58,12 +58,9 @@ def shape_of(problem: CameraProblem, noise_known: bool) -> tuple[LensShape, Arra
     return None if size.gain < _SHOWN else (link, size.covariance)
 
 
-def link_free_of_base(problem: CameraProblem, affinity: bool = False) -> LensShape:
-    """Return the link of a shape that base lens and rotations of the camera leave; its unknowns have no scale yet.
-
-    With `affinity`, it has no part that is linear over the image: axes of the sensor are not the lens.
-    """
-    return LensShape(_knots(problem.image_size), _free_of(problem, affinity))
+def link_free_of_base(problem: CameraProblem) -> LensShape:
+    """Return the link of a shape that base lens and rotations of the camera leave; its unknowns have no scale yet."""
+    return LensShape(_knots(problem.image_size), _free_of(problem))
 
 
 def _adjusted(problem: CameraProblem, tolerance: float = StoppingRule.tolerance) -> Solution:
@@ -77,8 +74,8 @@ def _knots(image_size: tuple[int, int]) -> Knots:
     return Knots(image_size, (across, down))
 
 
-def _free_of(problem: CameraProblem, affinity: bool) -> Array:
-    """Return N: coefficients whose shift over the image is orthogonal to base lens, rotations, and linear shifts."""
+def _free_of(problem: CameraProblem) -> Array:
+    """Return N: coefficients whose shift over the image is orthogonal to base lens and rotations of the camera."""
     knots, lens = _knots(problem.image_size), problem.blocks[camera.LENS]
     uv = np.stack(image_grid(problem.image_size))
     seen = direction(lens.named(), uv[0], uv[1], problem.convention)
@@ -90,9 +87,6 @@ def _free_of(problem: CameraProblem, affinity: bool) -> Array:
     turned = np.cross(np.eye(3)[:, :, None], seen[None], axisa=1, axisb=1, axisc=1)  # (3, 3, n): about x, y, z
     by_turn = np.einsum("apn,kpn->akn", np.asarray(step.by_input), turned)
     change = np.concatenate([step.by_block[camera.LENS][:, lens.free[0]], by_turn], axis=1)
-    if affinity:
-        place = np.stack([np.ones(uv.shape[1]), *(uv - uv.mean(axis=1, keepdims=True))])
-        change = np.concatenate([change, np.kron(np.eye(2), place).reshape(6, 2, -1).swapaxes(0, 1)], axis=1)
     basis = knots.basis(uv)
     overlap = np.concatenate([change[axis] @ basis for axis in (0, 1)], axis=1)
     overlap /= np.linalg.norm(overlap, axis=1, keepdims=True)

@@ -1,0 +1,50 @@
+"""Effects and laws beside each other: two waves of one period are one, and an effect that pays stays."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from benchmarks.hidden import lengths
+from metrocli.diagnosis.adjusted_job import AdjustedJob
+from metrocli.diagnosis.diagnose import diagnose
+from metrocli.diagnosis.evidence.measured_job import measurement_of
+from metrocli.diagnosis.evidence.state import State
+from metrocli.diagnosis.laws import search
+from metrocli.diagnosis.laws.library import Library
+from metrocli.diagnosis.laws.steps import among_terms, are_apart, forward
+from metrocli.tasks import KINDS
+
+
+def waved(seed: int, size: float, turns: float, effect: str = "") -> AdjustedJob:
+    """Return a network in which the lengths of tracer T1 have a wave in X, perhaps with an effect."""
+    rng = np.random.default_rng([6, seed])
+    m = lengths.measurement(rng, 60)
+    m = lengths.planted(m, rng, effect, 2.5)[0] if effect else m
+    x = m.points[m.point][:, 0]
+    wave = size * np.sin(2 * np.pi * x / (np.ptp(x) / turns)) * (m.tracer == 1)
+    return replace(replace(m, length=m.length + wave).adjusted(), places=KINDS["multilaterate"].task().places)
+
+
+def test_an_effect_that_pays_beside_a_law_stays(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The law may be sought beside less than was found: a smooth error had taken a skew's place in white noise."""
+    bases = search._bases
+    monkeypatch.setattr(search, "_bases", lambda plain: list(bases(plain))[-1:])
+    found = diagnose(waved(1, 0.0011, 4.3, "tracer-scale"))
+    assert found.law is not None and not found.law.replaced
+    assert [str(one.effect.alternative) for one in found.findings] == ["tracer-scale T0"]
+
+
+def test_two_waves_of_one_period_do_not_stand_together() -> None:
+    """Each would be as large as their difference is small, and predict nothing between the readings."""
+    state = State.of(measurement_of(waved(2, 0.003, 3.0)))
+    start = among_terms(state, Library(state.measurement.job, state.measurement.system))
+    assert start is not None
+    first = forward(start, 0.0, most=1)
+    ((term, _),) = first.steps
+    assert term.form.scanned is not None
+    for factor, apart in ((1.001, False), (0.7, True)):
+        other = term.at(factor * term.form.scanned)
+        assert are_apart(first, other, first.columns(other)).tolist() == [apart]
