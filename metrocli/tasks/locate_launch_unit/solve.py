@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from metrocli.adjust.adjustment import adjust
+from metrocli.adjust.adjustment import adjust, covariance_at
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.outcome import Outcome
 from metrocli.adjust.solution import Residuals, Solution, residuals_of
@@ -140,20 +140,28 @@ def _located(readings: AlignedPoses, noise: LaunchUnitNoise, how: How) -> Locate
         fits = fewer is not None and not fewer[0].sigma0 > _ABSURD
         if fewer is not None and how.remove:
             solution, gone = fewer[0], (fewer[1],)
+        elif fewer is not None and fits and not how.explain:
+            # a diagnosis has all readings: where the rest fits, the gross one is far off, and nothing else
+            solution = covariance_at(fewer[0].blocks.values(), problem.all_groups)
         elif fits or not solution.outcome.good:
-            failed, misfit = f"{solution.outcome.value} ({solution.iterations} steps)", solution.misfit
-            if solution.outcome.good:
-                failed = f"the readings contradict each other (sigma0 = {solution.sigma0:.3g})"
-            if fewer is not None and fits:
-                failed += f"; without the distance of {fewer[1].pose} the rest fits: correct it, or `outliers: remove`"
-                misfit = fewer[0].misfit  # what is left fits
-            raise NotConvergedError(failed, misfit)
+            raise _contradiction(solution, fewer if fits else None)
     checked = screened(solution, [group.name for group in problem.groups], gone)
     used = checked.solution if how.remove else solution
     values = used.blocks[lu.UNIT].values[0].copy()
     values[3] = wrapped(values[3])
     checks = checked.outliers, checked.critical, checked.noise
     return Located(values, used.covariance_or_raise().of(lu.UNIT), readings, problem, used, *checks)
+
+
+def _contradiction(solution: Solution, rest: tuple[Solution, SuspectedPose] | None) -> NotConvergedError:
+    """Return the error of readings that have no solution, or one far off, and of the distance without which they do."""
+    failed, misfit = f"{solution.outcome.value} ({solution.iterations} steps)", solution.misfit
+    if solution.outcome.good:
+        failed = f"the readings contradict each other (sigma0 = {solution.sigma0:.3g})"
+    if rest is not None:
+        failed += f"; without the distance of {rest[1].pose} the rest fits: correct it, or `outliers: remove`"
+        misfit = rest[0].misfit  # what is left fits
+    return NotConvergedError(failed, misfit)
 
 
 def _undetermined(problem: LaunchUnitProblem, solution: Solution) -> str:

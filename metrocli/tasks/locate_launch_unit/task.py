@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 
@@ -39,9 +38,9 @@ def _located(job: Job[Settings, Files], how: How) -> tuple[Located, float]:
     return weighed(noise.model, noise, lambda noise: locate(readings, noise, how))
 
 
-def diagnosed(job: Job[Settings, Files], remove: bool = False) -> AdjustedJob:
+def diagnosed(job: Job[Settings, Files]) -> AdjustedJob:
     """Return the adjusted job in the form that diagnosis needs, with all readings; raises as `run` does."""
-    return adjusted_job(_located(job, replace(_how(job), remove=remove, explain=False))[0])
+    return adjusted_job(_located(job, replace(_how(job), remove=False, explain=False))[0])
 
 
 def _how(job: Job[Settings, Files]) -> How:
@@ -123,6 +122,5 @@ TASK = Task(
     places=PLACES,
     covariates=covariates,
     other_settings=other_weather,
-    cleared=partial(diagnosed, remove=True),
     answers={"compare": compare},
 )
