@@ -35,7 +35,7 @@ def adjuster(job: JobFile, more: Sequence[Variable] = (), adjusted: Adjuster | N
         every = (*other.effects, *job.own.effects)
         stated = task.covariates is not None
         other = replace(other, declared=declared, noise_model=model, states_correlated=stated)
-        return replace(other, effects=every, places=places)
+        return replace(other, effects=every, places=places, removes=_removes(job))
 
     return adjust
 
@@ -43,8 +43,11 @@ def adjuster(job: JobFile, more: Sequence[Variable] = (), adjusted: Adjuster | N
 def cleared(job: JobFile, more: Sequence[Variable] = ()) -> Adjuster | None:
     """Return what adjusts a job without its outliers, if it removes them and its kind can do so for a diagnosis."""
     clears = tasks.KINDS[job.kind].task().cleared
-    removes = getattr(job.settings, "outliers", "") == "remove"
-    return adjuster(job, more, clears) if removes and clears is not None else None
+    return adjuster(job, more, clears) if _removes(job) and clears is not None else None
+
+
+def _removes(job: JobFile) -> bool:
+    return getattr(job.settings, "outliers", "") == "remove"
 
 
 def others_of(job: JobFile, inputs: Mapping[str, object], adjust: Adjuster) -> Others:

@@ -45,7 +45,7 @@ def of_diagnosis(diagnosis: Diagnosis, extended: Extended | None, full: bool = F
         ]
         parts.append(text_table(_HEAD, [*rows, *together]))
     if diagnosis.outliers:
-        parts.append(list(_wrong(diagnosis.outliers)))
+        parts.append(list(_wrong(diagnosis.outliers, diagnosis.job.removes)))
     if not diagnosis.quick:
         parts.append([*_structure(diagnosis), *_processes(diagnosis), *noise_lines(diagnosis)])
     if diagnosis.laws:
@@ -152,14 +152,14 @@ def _mistake(diagnosis: Diagnosis) -> Iterator[str]:
         yield f"All that follows is for the {'corrected job' if diagnosis.mistaken.mended else 'job as it stands'}."
 
 
-def _wrong(outliers: tuple[Outlier, ...]) -> Iterator[str]:
+def _wrong(outliers: tuple[Outlier, ...], removes: bool) -> Iterator[str]:
     """Yield the table of wrong readings, each with those that are as likely to be the wrong one."""
     shown = outliers[: _SHOWN * _DESCRIBED]
     rows = [("/".join(outlier.keys.values()), f"{outlier.test:.1f} sigma", _others(outlier)) for outlier in shown]
     yield from text_table(("wrong reading", "error", "or instead"), rows)
     if len(outliers) > len(rows):
         yield f"... {len(outliers) - len(rows)} more"
-    apart = "`outliers: remove` leaves wrong readings out; or measure them again."
+    apart = f"`outliers: remove` leaves wrong readings out{'' if removes else '; or measure them again'}."
     alike = "These readings do not show which one is wrong: measure them again."
     yield alike if all(outlier.others for outlier in outliers) else apart
 

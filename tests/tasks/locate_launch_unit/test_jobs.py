@@ -242,3 +242,4 @@ def test_a_wrong_distance_is_no_wrong_unit(removes: bool, tmp_path: Path, metroc
     assert removes or "without the distance of A3 the rest fits" in ran.err
     assert "with 1 wrong reading\n" in diagnosed.out and "\nA3/distance " in diagnosed.out
     assert "_um" not in ran.err + diagnosed.out
+    assert ("leaves wrong readings out.\n" if removes else "out; or measure them again.\n") in diagnosed.out
