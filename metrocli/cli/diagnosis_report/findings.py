@@ -178,7 +178,7 @@ def _structure(diagnosis: Diagnosis) -> Iterator[str]:
     where = f" in the readings of {', '.join(left.where)}" if left.where else ""
     _, dimension = REPORTED.get(left.unit, diagnosis.job.reading)
     size = f", {units.sized(left.size, dimension)} (root mean square)" if left.size else ""
-    size += "" if left.share is None else f", {100 * left.share:.2g} % of the misfit"
+    size += "" if left.share is None else f", {100 * left.share:.{3 if left.share >= 0.995 else 2}g} % of the misfit"
     along = f", varies with {' and '.join(left.depends_on)}" if left.depends_on else "," * bool(where)
     yield f"structure left: {_chance(left.p_value)}{along}{where}{size}"
     yield f"  No known effect explains it. {_included(diagnosis)}"
