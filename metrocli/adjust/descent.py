@@ -36,11 +36,6 @@ _NOTHING = 1e-10
 """Share of the diagonal of the normal matrix below which its reduction leaves nothing"""
 # from a damping that leaves a sound step as it is to one whose step is 1e-8 of the gradient's: both ends are beyond use
 _DAMPING_START, _DAMPING_END, _DAMPING_LIMIT = 1e-9, 1e-11, 1e8
-_MORE, _LESS = 10.0, 3.0
-"""Damping is so many times larger after a step that raises the sum, and so many times smaller after one that does not
-
-In a curved valley one that is as much smaller as it was larger would be tried in vain before each step.
-"""
 
 
 @dataclass(frozen=True)
@@ -190,7 +185,7 @@ class Descent:
         return 2 * float(np.sqrt(self.cost)) * _LAST_DIGITS * self.problem.size + _ROUNDING * self.cost
 
     def _damp(self) -> None:
-        self.damping = max(self.damping * _MORE, _DAMPING_START)
+        self.damping = max(self.damping * 10, _DAMPING_START)
 
     def _moved(self) -> tuple[dict[str, Block], float]:
         """Return the blocks after the damped step, and the decrease of the sum of squares that it predicts."""
@@ -202,7 +197,7 @@ class Descent:
 
 
 def _relaxed(damping: float) -> float:
-    return damping / _LESS if damping / _LESS > _DAMPING_END else 0.0
+    return damping / 10 if damping / 10 > _DAMPING_END else 0.0
 
 
 def _solve(problem: IteratedSystem, state: Mapping[str, Block], normals: Normals) -> tuple[Array, float, Frame | None]:

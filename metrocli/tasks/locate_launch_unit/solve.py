@@ -138,12 +138,12 @@ def _located(readings: AlignedPoses, noise: LaunchUnitNoise, how: How) -> Locate
     if not solution.outcome.good or solution.sigma0 > _ABSURD:
         fewer = without_worst_distance(problem)
         fits = fewer is not None and not fewer[0].sigma0 > _ABSURD
-        if fewer is not None and how.remove:
+        if fewer is not None and how.remove and (fits or not solution.outcome.good):
             solution, gone = fewer[0], (fewer[1],)
         elif fewer is not None and fits and not how.explain:
             # a diagnosis has all readings: where the rest fits, the gross one is far off, and nothing else
             solution = covariance_at(fewer[0].blocks.values(), problem.all_groups)
-        elif fits or not solution.outcome.good:
+        elif not solution.outcome.good:
             raise _contradiction(solution, fewer if fits else None)
     checked = screened(solution, [group.name for group in problem.groups], gone)
     used = checked.solution if how.remove else solution
@@ -154,10 +154,8 @@ def _located(readings: AlignedPoses, noise: LaunchUnitNoise, how: How) -> Locate
 
 
 def _contradiction(solution: Solution, rest: tuple[Solution, SuspectedPose] | None) -> NotConvergedError:
-    """Return the error of readings that have no solution, or one far off, and of the distance without which they do."""
+    """Return the error of readings that have no solution, with the distance without which they have one."""
     failed, misfit = f"{solution.outcome.value} ({solution.iterations} steps)", solution.misfit
-    if solution.outcome.good:
-        failed = f"the readings contradict each other (sigma0 = {solution.sigma0:.3g})"
     if rest is not None:
         failed += f"; without the distance of {rest[1].pose} the rest fits: correct it, or `outliers: remove`"
         misfit = rest[0].misfit  # what is left fits
