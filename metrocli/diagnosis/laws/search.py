@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 
@@ -143,6 +144,19 @@ class _Folds:
 
     lawful: Lawful
 
+    @cached_property
+    def _at_the_place(self) -> list[list[int]]:
+        """Numbers of the terms of each family that act where the first one of the law does, as later ones have to."""
+        place = self.lawful.terms[0].place
+        return [[at for at, term in enumerate(terms) if term.place == place] for terms in self.lawful.library.terms]
+
+    @cached_property
+    def _later(self) -> State:
+        """The state with these candidates alone: all others take most of the time."""
+        m = self.lawful.state.measurement
+        families = (family.only(some) for family, some in zip(m.families, self._at_the_place, strict=True))
+        return replace(self.lawful.state, measurement=replace(m, families=tuple(families)), cache={})
+
     def __call__(self, number: int) -> list[tuple[FoldPrediction, FoldPrediction]]:
         """Return the predictions of a fold without and with laws of 1, 2, ... terms."""
         state, gone = self.lawful.state, {id(part) for _, part in self.lawful.steps}
@@ -152,24 +166,23 @@ class _Folds:
         before, pairs = others.predicted(), list[tuple[FoldPrediction, FoldPrediction]]()
         for count in range(len(self.lawful.steps)):
             # once no term enters in a fold, no further one does there
-            if len(fixed) == bare + count and (term := self._chosen(others, count)) is not None:
-                fixed.append(term)
-                others = every.with_fixed(fixed)
+            if len(fixed) == bare + count:
+                here = Others.of_fold(self._later, number).with_fixed(fixed) if count else others
+                if (term := self._chosen(here, count)) is not None:
+                    fixed.append(term)
+                    others = every.with_fixed(fixed)
             pairs.append((before, others.predicted() if len(fixed) > bare else before))
         return pairs
 
     def _chosen(self, others: Others, count: int) -> Fixed | None:
         """Return the term that the other readings choose; None if they choose none."""
         lawful, library = self.lawful, self.lawful.library
-        place = lawful.terms[0].place
         best, chosen = 0.0, None
-        for number, terms in enumerate(library.terms):
+        for number in range(len(library.terms)):
             net = others.nets(number)
-            if count:
-                # later terms act where the first one of the law does
-                net = np.where([term.place == place for term in terms], net, -np.inf)
             if len(net) and net.max() > best:
-                best, chosen = float(net.max()), (number, int(np.argmax(net)))
+                best, at = float(net.max()), int(np.argmax(net))
+                chosen = number, self._at_the_place[number][at] if count else at
         # the refined term has a value between those of the scan, which is better where its neighbours are chosen
         term, part = lawful.steps[count]
         if chosen is not None and library.terms[chosen[0]][chosen[1]].is_like(term):

@@ -6,11 +6,11 @@ Method: docs/algorithms/what-can-be-seen.md.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import field
+from dataclasses import field, replace
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array
+from metrocli.arrays import Array, Index
 from metrocli.diagnosis.linear.column_parts import OwnColumns, StepColumns
 from metrocli.diagnosis.linear.columns import CandidateColumns
 from metrocli.diagnosis.linear.projection import Linearised
@@ -81,6 +81,19 @@ class CandidateGroup:
     def form(self) -> tuple[str, int, int]:
         """Name, number of alternatives and number of columns of each, by which families of other tests are matched."""
         return self.name, self.columns.count, self.columns.parameters
+
+    def only(self, chosen: Sequence[int]) -> CandidateGroup:
+        """Return it with some of its alternatives, which are numbered anew."""
+        alternatives = tuple(self.alternatives[number] for number in chosen)
+        some: Index = np.asarray(chosen, dtype=np.intp)
+        return replace(
+            self,
+            alternatives=alternatives,
+            columns=self.columns.only(chosen),
+            raw=self.raw[some],
+            gram=self.gram[some],
+            whole={at: self.whole[number] for at, number in enumerate(chosen) if number in self.whole},
+        )
 
     def changes(self, gram: Array, right: Array) -> Array:
         """Return the norm of each alternative, (alternatives,), at its best size; columns count as orthogonal."""

@@ -155,6 +155,12 @@ class CandidateColumns:
         cut = (part.cut(there) for part in self.parts if (there := rows[part.rows]).any())
         return replace(self, parts=tuple(part for part in cut if len(part.numbers)), stacked=[])
 
+    def only(self, chosen: Sequence[int]) -> CandidateColumns:
+        """Return the columns of some alternatives, which are numbered anew."""
+        held = self._among(chosen)
+        parts = (StackedColumns(part.rows, part.dense(at), np.flatnonzero(own)) for part, own, at in held)
+        return CandidateColumns(len(chosen), self.parameters, tuple(parts))
+
     def weighted(self, factor: Array) -> CandidateColumns:
         """Return the columns with their rows multiplied by a factor (rows,)."""
         return replace(self, parts=tuple(part.weighted(factor) for part in self.parts), stacked=[])

@@ -48,3 +48,22 @@ def test_two_waves_of_one_period_do_not_stand_together() -> None:
     for factor, apart in ((1.001, False), (0.7, True)):
         other = term.at(factor * term.form.scanned)
         assert are_apart(first, other, first.columns(other)).tolist() == [apart]
+
+
+def test_later_terms_are_those_of_the_place_and_no_others() -> None:
+    """Their columns, Gram matrices and products are those that they have among all terms."""
+    m = measurement_of(waved(2, 0.003, 3.0))
+    library = Library(m.job, m.system)
+    rng, compared = np.random.default_rng(3), 0
+    for family, terms in zip(library.families, library.terms, strict=True):
+        chosen = [at for at, term in enumerate(terms) if term.place[1] == (("tracer", "T1"),)]
+        compared += len(chosen)
+        some, visible = family.only(chosen), rng.normal(size=(m.system.rows, 4))
+        assert np.array_equal(
+            some.columns.whole(range(len(chosen)), m.system.rows), family.columns.whole(chosen, m.system.rows)
+        )
+        assert np.allclose(
+            some.columns.products(visible), family.columns.products(visible)[chosen], rtol=1e-12, atol=1e-9
+        )
+        assert np.array_equal(some.gram, family.gram[chosen])
+    assert compared > 50
