@@ -100,7 +100,8 @@ def _is_smoothed(state: State) -> bool:
     The job's own terms have bent to take the place of one whose signature about that solution is another.
     """
     m = state.measurement
-    return m.dof >= _MANY and State.of(m, state.named).variance > _DOMINANT * state.variance
+    has_terms = any(family.alternatives[0].effect.link is None for family in m.families if family.alternatives)
+    return has_terms and m.dof >= _MANY and State.of(m, state.named).variance > _DOMINANT * state.variance
 
 
 def _old_and_new(state: State) -> tuple[list[Fixed], list[Fixed]]:
