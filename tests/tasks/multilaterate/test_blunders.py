@@ -195,3 +195,13 @@ def test_a_place_off_its_list_does_not_hide_a_layout_that_determines_nothing(lay
         multilaterate.run(multilaterate.TASK.job(settings(), net.lengths(), net.point_table()))
     why = "there are 3 tracers" if layout == "three tracers" else "the points lie on a line"
     assert why in str(failed.value) and "lengths of P4" not in str(failed.value)
+
+
+@pytest.mark.parametrize(("outliers", "advised"), [("report", True), ("remove", False)])
+def test_a_job_that_leaves_outliers_out_is_not_advised_to(outliers: str, advised: bool) -> None:
+    drawn = network(20, 6, seed=3).read(np.random.default_rng(1))
+    drawn.readings[:, :] += np.random.default_rng(2).normal(0, 0.03, drawn.readings.shape)
+    drawn.readings[7, 2] += 5.0
+    job = multilaterate.TASK.job(replace(settings(), outliers=outliers), drawn.lengths(), drawn.point_table())
+    (absurd,) = (text for text in multilaterate.run(job).warnings if "does not fit the readings" in text)
+    assert ("`outliers: remove`" in absurd) == advised
