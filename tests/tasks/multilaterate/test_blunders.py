@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from statistics import NormalDist
+from typing import Any
 
 import numpy as np
 import pytest
@@ -205,3 +208,17 @@ def test_a_job_that_leaves_outliers_out_is_not_advised_to(outliers: str, advised
     job = multilaterate.TASK.job(replace(settings(), outliers=outliers), drawn.lengths(), drawn.point_table())
     (absurd,) = (text for text in multilaterate.run(job).warnings if "does not fit the readings" in text)
     assert ("`outliers: remove`" in absurd) == advised
+
+
+def test_a_diagnosis_leaves_out_no_more_than_what_is_far_off(tmp_path: Path, metrocli: Callable[..., Any]) -> None:
+    """Points that a cable spoils counted as outliers: 16 lengths were left out, and the cable explained half as much."""
+    metrocli("init", tmp_path / "p", "--sample", "laboratory-effects")
+    data, job = tmp_path / "p" / "data" / "lengths.csv", tmp_path / "p" / "jobs" / "hall.yaml"
+    lines = data.read_text().splitlines()
+    cells = lines[4].split(",")
+    lines[4] = ",".join([*cells[:2], str(float(cells[2]) + 4000), *cells[3:]])
+    data.write_text("\n".join(lines) + "\n")
+    job.write_text(job.read_text() + "outliers: remove\n")
+    found = metrocli("diagnose", job, "--quick").out
+    assert "without the reading that `outliers: remove` leaves out" in found
+    assert "cable-wrap LT5 explains 84 % of the misfit" in found
