@@ -48,9 +48,10 @@ def without_mistakes(
 ) -> tuple[AdjustedJob, Mistaken | None]:
     """Return the adjusted job, and the mistake without which it was adjusted, if there is one.
 
-    Corrections are tried if the job fails or is absurd, unless `cleared`, which adjusts it without outliers, leaves out
-    too few to have one cause; of a failure in which most readings fit, only those of rows. If none explains a failure,
-    many may be left out; else the exception is raised.
+    Corrections are tried if the job fails or is absurd. `cleared` adjusts it without outliers: where it is plausible
+    then, and these are too few to have one cause, none is tried. Where a failure names what is wrong, and the rest
+    fits, only corrections of rows are tried. If none explains a failure, the job is returned without its outliers,
+    however many. If that fails too, the exception is raised.
     """
     job, failure = _attempted(adjust, inputs)
     misfits = Misfit(np.inf, np.inf, np.inf) if job is None else misfit_of(job)

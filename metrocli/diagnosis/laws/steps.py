@@ -198,7 +198,7 @@ def _refined(lawful: Lawful, family: int, number: int) -> tuple[Term, Fixed]:
 
 
 def are_apart(lawful: Lawful, term: Term, columns: Array) -> Mask:
-    """Return whether terms that differ by their scanned value alone leave something of columns (n, k, q) of k terms.
+    """Return whether scanned terms of the same variables leave something of columns (n, k, q) of k scanned terms.
 
     Two waves of nearly one period, each a thousand times the law, would stand for one whose size changes.
     """

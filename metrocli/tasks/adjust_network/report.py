@@ -268,7 +268,7 @@ def _datum_note(solved: AdjustedNetwork) -> Iterator[str]:
 
 def _warnings(solved: AdjustedNetwork, solution: Solution) -> Iterator[str]:
     yield from solved.network.readings.warnings
-    yield from noise_warnings(solution, (_REMOVE,))
+    yield from noise_warnings(solution, () if solved.rejected else (_REMOVE,))
     if solved.rejected:
         named = listed(_named(solved.rejected))
         yield f"{len(solved.rejected)} readings are left out as wrong: {named} (table rejected)"

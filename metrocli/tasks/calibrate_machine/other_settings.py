@@ -64,8 +64,9 @@ def _rotary_positions(job: Job[Settings, Files]) -> Iterator[tuple[Mistake, Job[
         names = [letter.lower() for letter in ANGLES if table is not None and letter.lower() in table]
         if table is None or not names or len(table) > _MOST_POSES:
             continue
-        sources = [part for part in parts(table, np.ones(len(table))) if np.ptp(table.numbers(names[0])[part[1]])]
-        for name, (where, rows) in product(names, sources if len(sources) <= _MOST_LINES else ()):
+        sources = product(names, parts(table, np.ones(len(table))))
+        turning = [(name, *source) for name, source in sources if np.ptp(table.numbers(name)[source[1]])]
+        for name, where, rows in turning if len(turning) <= _MOST_LINES * len(names) else ():
             of_source = f"{table.headings.get(name, name)} {where}"
             words, write = f"{of_source} has the wrong sign", f"{of_source} with the other sign"
             turned = np.where(rows, -table.numbers(name), table.numbers(name))

@@ -39,10 +39,11 @@ _OF_INDEXERS = Hidden(
 
 
 def cures(settings: Settings) -> tuple[str, ...]:
-    """Return the settings that a warning may recommend for a method."""
+    """Return the settings that a warning may recommend for a method, of those that the job does not have."""
     if settings.method == ON_THE_FLY:
         return ()
-    return (REMOVE, REPEATS) if settings.method == LENGTHS and settings.noise.repeatability is None else (REMOVE,)
+    repeats = settings.method == LENGTHS and settings.noise.repeatability is None
+    return (*((REMOVE,) if settings.outliers == "report" else ()), *((REPEATS,) if repeats else ()))
 
 
 def machine_warnings(solved: AdjustedMachine, settings: Settings, more: Sequence[str] = ()) -> list[str]:

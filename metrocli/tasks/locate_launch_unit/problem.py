@@ -155,20 +155,28 @@ class Screened:
     """Noise of the readings without outliers, in units of the declared one, at least 1: to it the tests refer"""
 
 
-def without_worst_distance(problem: LaunchUnitProblem) -> tuple[Solution, SuspectedPose] | None:
-    """Return the solution without the distance that is farthest off where the beams meet, and that distance.
+def without_worst_distances(
+    problem: LaunchUnitProblem, absurd: float
+) -> tuple[Solution, tuple[SuspectedPose, ...]] | None:
+    """Return a solution without the distances that are farthest off where the beams meet, and these distances.
 
-    It is for readings whose adjustment does not converge: a gross distance draws the place far along a beam. None if
-    there is no distance, or no solution without it.
+    It is for readings with no solution, or an absurd one: a gross distance draws the place far along a beam. As few are
+    left out as bring sigma0 down to `absurd`, at most half of them; if none do, the worst one. None if there is no
+    distance, or no solution without it.
     """
     distances = next((group for group in problem.groups if group.name == lu.DISTANCE), None)
     if distances is None:
         return None
     off = np.abs(distances.observations.whitened(distances.residuals(problem.blocks)))[0]
-    row = int(np.argmax(off))
-    solution = _without(problem.blocks, problem.all_groups, lu.DISTANCE, row)
-    gone = SuspectedPose(lu.DISTANCE, distances.observations.keys["pose"][row], float(off[row]))
-    return None if solution is None else (solution, gone)
+    order, names = np.argsort(-off), distances.observations.keys["pose"]
+    first: tuple[Solution, tuple[SuspectedPose, ...]] | None = None
+    for count in range(1, max(len(off) // 2, 1) + 1):
+        solution = _without(problem.blocks, problem.all_groups, lu.DISTANCE, order[:count])
+        gone = tuple(SuspectedPose(lu.DISTANCE, names[row], float(off[row])) for row in order[:count])
+        if solution is not None and not solution.sigma0 > absurd:
+            return solution, gone
+        first = (solution, gone) if solution is not None and count == 1 else first
+    return first
 
 
 def screened(solution: Solution, names: Sequence[str], gone: Sequence[SuspectedPose] = ()) -> Screened:
@@ -184,7 +192,7 @@ def screened(solution: Solution, names: Sequence[str], gone: Sequence[SuspectedP
         others = max(solution.cost - worst.test**2, 0.0) / (solution.dof - 1)
         if worst.test <= critical * np.sqrt(max(others, 1.0)):
             break
-        fewer = _without(solution.blocks, solution.groups, worst.group, row)
+        fewer = _without(solution.blocks, solution.groups, worst.group, np.array([row]))
         if fewer is None:
             break
         solution, outliers = fewer, [*outliers, worst]
@@ -205,14 +213,14 @@ def _worst(solution: Solution, names: Sequence[str]) -> tuple[SuspectedPose, int
     return max(tests, key=lambda suspect: suspect[0].test)
 
 
-def _without(blocks: Mapping[str, Block], groups: Sequence[Group], name: str, row: int) -> Solution | None:
-    """Return the solution without one reading; None if the others do not determine it, or lead nowhere."""
+def _without(blocks: Mapping[str, Block], groups: Sequence[Group], name: str, rows: Index) -> Solution | None:
+    """Return the solution without some readings of a group; None if the others do not determine it, or lead nowhere."""
     left = []
     for group in groups:
         if group.name == name:
-            if group.observations.count <= _FEW:
+            if group.observations.count - len(rows) < _FEW:
                 return None
-            group = group.selected(np.arange(group.observations.count) != row)
+            group = group.selected(~np.isin(np.arange(group.observations.count), rows))
         left.append(group)
     solution = adjust(blocks.values(), left, control=STOPPING)
     return solution if solution.outcome.good and solution.covariance is not None else None

@@ -27,11 +27,11 @@ from metrocli.tasks.locate_launch_unit.problem import (
     build,
     screened,
     uncertainty_along,
-    without_worst_distance,
+    without_worst_distances,
 )
 from metrocli.tasks.locate_launch_unit.readings import AlignedPoses
 from metrocli.tasks.locate_launch_unit.settings import LaunchUnitNoise
-from metrocli.words import listed
+from metrocli.words import in_a_row, listed
 
 _ABSURD = 100.0
 """sigma0 above this cannot come from noise"""
@@ -136,12 +136,12 @@ def _located(readings: AlignedPoses, noise: LaunchUnitNoise, how: How) -> Locate
         raise UndeterminedError(_undetermined(problem, solution), solution.misfit)
     gone: tuple[SuspectedPose, ...] = ()
     if not solution.outcome.good or solution.sigma0 > _ABSURD:
-        fewer = without_worst_distance(problem)
+        fewer = without_worst_distances(problem, _ABSURD)
         fits = fewer is not None and not fewer[0].sigma0 > _ABSURD
         if fewer is not None and how.remove and (fits or not solution.outcome.good):
-            solution, gone = fewer[0], (fewer[1],)
+            solution, gone = fewer
         elif fewer is not None and fits and not how.explain:
-            # a diagnosis has all readings: where the rest fits, the gross one is far off, and nothing else
+            # a diagnosis has all readings: where the rest fits, the gross ones are far off, and nothing else
             solution = covariance_at(fewer[0].blocks.values(), problem.all_groups)
         elif not solution.outcome.good:
             raise _contradiction(solution, fewer if fits else None)
@@ -153,11 +153,13 @@ def _located(readings: AlignedPoses, noise: LaunchUnitNoise, how: How) -> Locate
     return Located(values, used.covariance_or_raise().of(lu.UNIT), readings, problem, used, *checks)
 
 
-def _contradiction(solution: Solution, rest: tuple[Solution, SuspectedPose] | None) -> NotConvergedError:
-    """Return the error of readings that have no solution, with the distance without which they have one."""
+def _contradiction(solution: Solution, rest: tuple[Solution, Sequence[SuspectedPose]] | None) -> NotConvergedError:
+    """Return the error of readings that have no solution, with the distances without which they have one."""
     failed, misfit = f"{solution.outcome.value} ({solution.iterations} steps)", solution.misfit
     if rest is not None:
-        failed += f"; without the distance of {rest[1].pose} the rest fits: correct it, or `outliers: remove`"
+        poses, many = in_a_row([each.pose for each in rest[1]]), len(rest[1]) > 1
+        distances, them = ("distances", "them") if many else ("distance", "it")
+        failed += f"; without the {distances} of {poses} the rest fits: correct {them}, or `outliers: remove`"
         misfit = rest[0].misfit  # what is left fits
     return NotConvergedError(failed, misfit)
 

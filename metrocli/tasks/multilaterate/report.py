@@ -221,7 +221,7 @@ def _or(others: Sequence[str]) -> str:
 
 
 def _warnings(solved: AdjustedTracers) -> list[str]:
-    cures = (REMOVE,) if solved.network.noise.repeatability else (REMOVE, REPEATS)
+    cures = [*([] if solved.rejected else [REMOVE]), *([] if solved.network.noise.repeatability else [REPEATS])]
     lines = [*solved.network.warnings, *noise_warnings(solved.solution, cures)]
     keys = solved.whole.lengths.observations.keys
     wrong = [

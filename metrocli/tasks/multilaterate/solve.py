@@ -121,8 +121,10 @@ class AdjustedTracers:
         return max(points / (_POINTS_NEAR * extent + _noise_of(network)), tracers / _TRACERS_NEAR)
 
 
-def solve(network: TracerNetwork, remove: bool) -> AdjustedTracers:
+def solve(network: TracerNetwork, remove: bool, tested: bool = True) -> AdjustedTracers:
     """Adjust the network from a robust start; with `remove`, leave outliers out.
+
+    If not `tested`, only lengths that are identified as far off there: an unknown cause makes many other outliers.
 
     Raises UndeterminedError if the layout does not determine the points, NotConvergedError if the adjustment does not
     converge or converges far from the mover's readings.
@@ -138,14 +140,15 @@ def solve(network: TracerNetwork, remove: bool) -> AdjustedTracers:
     if len(network.nominal) <= _SMALL_ENOUGH:
         must_carry(start, covariance_at(state.values(), groups, start.datum), network)
     gross = far_off(network, state) if remove else {}
+    gross = gross if tested else {row: each for row, each in gross.items() if each.reason is Reason.GROSS}
     begun = _KeptLengths(brought_back(network, state, gross), gross | out, bool(gross))
 
     def fewer(used: _KeptLengths, solved: AdjustedTracers) -> tuple[_KeptLengths, bool]:
-        state, worst = solved.solution.blocks, _worst(solved) if remove else {}
+        state, worst = solved.solution.blocks, _worst(solved) if remove and tested else {}
         # once, and when nothing else is wrong: else lengths could go and come back for ever
         if used.back and not worst:
             return _KeptLengths(state, _with_reinstated(solved, used.out), False), True
-        more = worst or (_doubtful(solved) if used.out else {})
+        more = worst or (_doubtful(solved) if used.out and tested else {})
         return _KeptLengths(state, used.out | more, used.back), bool(more)
 
     used, solved = in_rounds(begun, lambda used: _adjusted(network, used.state, used.out), fewer)

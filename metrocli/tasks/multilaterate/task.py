@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 
-from metrocli.diagnosis.adjusted_job import AdjustedJob
-from metrocli.errors import InputError, all_faults
+from metrocli.diagnosis.adjusted_job import AdjustedJob, misfit_of
+from metrocli.errors import InputError, NoSolutionError, all_faults
 from metrocli.plan import Plan
 from metrocli.result import Result
 from metrocli.simulation import Simulation, SimulationOptions
@@ -19,7 +19,7 @@ from metrocli.tasks.multilaterate.effects import EFFECTS, PLACES
 from metrocli.tasks.multilaterate.layout import PlannedNetwork, PlannedPoints, distance
 from metrocli.tasks.multilaterate.misnamed import naming_wrong_lengths
 from metrocli.tasks.multilaterate.plan import planned
-from metrocli.tasks.multilaterate.problem import build, network_of
+from metrocli.tasks.multilaterate.problem import TracerNetwork, build, network_of
 from metrocli.tasks.multilaterate.readings import read
 from metrocli.tasks.multilaterate.report import report
 from metrocli.tasks.multilaterate.settings import Files, Settings
@@ -70,10 +70,25 @@ def check(job: Job[Settings, Files]) -> None:
             requested_features(settings.features, files.probing)
 
 
-def diagnosed(job: Job[Settings, Files], remove: bool = False) -> AdjustedJob:
-    """Return the adjusted job in the form that diagnosis needs, by default with all lengths; raises as `run` does."""
+def diagnosed(job: Job[Settings, Files]) -> AdjustedJob:
+    """Return the adjusted job in the form that diagnosis needs, with all lengths; raises as `run` does."""
+    return _diagnosed(job, lambda network: solve(network, remove=False))
+
+
+def cleared(job: Job[Settings, Files]) -> AdjustedJob:
+    """Return it without gross lengths; where these cannot be identified, without all outliers, as `run` has it."""
+    try:
+        without_gross = _diagnosed(job, lambda network: solve(network, remove=True, tested=False))
+    except NoSolutionError:
+        without_gross = None
+    if without_gross is not None and misfit_of(without_gross).worst <= 1:
+        return without_gross
+    return _diagnosed(job, lambda network: solve(network, remove=True))
+
+
+def _diagnosed(job: Job[Settings, Files], solves: Callable[[TracerNetwork], AdjustedTracers]) -> AdjustedJob:
     network = build(job.settings, job.files).with_effects(job.effects)
-    solved, _ = weighed(job.settings.noise.model, network, lambda network: solve(network, remove))
+    solved, _ = weighed(job.settings.noise.model, network, solves)
     adjusted = adjusted_job(solved)
     return replace(
         adjusted,
@@ -120,6 +135,6 @@ TASK = Task(
     PLACES,
     covariates=covariates,
     other_settings=other_weather,
-    cleared=partial(diagnosed, remove=True),
+    cleared=cleared,
     result_answers={"distance": lambda result, points: (distance(result, points[0], points[1]),)},
 )

@@ -127,9 +127,8 @@ def _both(table: Table, name: str, value: float, unit: Unit) -> str:
     """Return a value in the unit of the heading, and what it is if it is in another."""
     written = float(_as_written(table, name, np.array([value]))[0])
     internal = DIMENSIONS[SORTS[name].dimension].unit
-    return f"{written:.5g} {_unit(table, name).symbol} is read, and {written:.5g} {unit.symbol} are " + (
-        f"{unit.inside(written):.4g} {internal}"
-    )
+    size = "usual" if unit.symbol == internal else f"{unit.inside(written):.4g} {internal}"
+    return f"{written:.6g} {_unit(table, name).symbol} is read, and {written:.6g} {unit.symbol} are {size}"
 
 
 def _as_written(table: Table, name: str, values: Array) -> Array:

@@ -12,6 +12,9 @@ import pytest
 from simulated.network import Network, network
 
 from metrocli.formats import hdf5
+from metrocli.project.job import load
+from metrocli.project.runner import content
+from metrocli.tasks.adjust_network import task as adjust_network
 
 Metrocli = Callable[..., Any]
 
@@ -161,6 +164,15 @@ def test_a_station_whose_distances_have_another_scale_is_doubtful_and_named(tmp_
     change[net.station == 1, 2] = 0.02 * net.seen[net.station == 1, 2]
     ran = metrocli("adjust-network", net.with_effect(change).write(tmp_path, more="outliers: remove\n"))
     assert ran.code == 6 and "readings of station S2 are left out as outliers (" in ran.out, ran.out
+
+
+def test_a_job_that_leaves_outliers_out_is_not_advised_to(tmp_path: Path) -> None:
+    net = hall()
+    change = np.random.default_rng(2).normal(0, [3e-4, 3e-4, 2.0], net.seen.shape)
+    change[0, 2] += 3000.0
+    job = net.with_effect(change).write(tmp_path, more="outliers: remove\n")
+    (absurd,) = (text for text in adjust_network.run(content(load(job))).warnings if "does not fit the" in text)
+    assert "`outliers: remove`" not in absurd
 
 
 @pytest.mark.parametrize("wrong", [length, height])

@@ -17,8 +17,12 @@ from simulated import machine_lengths as lengths
 from metrocli.adjust.dense_jacobian import least_square, unit_noise
 from metrocli.diagnosis.other_settings import with_other_setting
 from metrocli.formats import csv, hdf5
+from metrocli.project.job import load
+from metrocli.project.runner import content
 from metrocli.tasks.calibrate_machine import task as calibrate_machine
 from metrocli.tasks.calibrate_machine.settings import Settings
+from metrocli.tasks.calibrate_machine.warnings import cures
+from metrocli.tasks.shared.statistics import REMOVE
 
 Metrocli = Callable[..., Any]
 JOB = """metrocli: 1
@@ -125,6 +129,11 @@ def test_no_adjustment_is_below_the_least_sum_of_squares(chain: str) -> None:
     least = least_square(unit_noise(start.readings[0]), start.blocks)
     found = float((solved.readings[0].residuals(solved.blocks) ** 2).sum())
     assert 0.7 * found < least < 1.005 * found
+
+
+def test_a_job_is_advised_nothing_that_it_has(job: Path) -> None:
+    settings = content(load(job)).settings
+    assert REMOVE in cures(settings) and REMOVE not in cures(replace(settings, outliers="remove"))
 
 
 @pytest.mark.parametrize(("factor", "unit"), [(1e-3, "m"), (1 / 25.4, "inches")])

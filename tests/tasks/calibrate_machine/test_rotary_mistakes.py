@@ -13,6 +13,10 @@ from hints.edits import Edit, cells, exchanged, first, put, then, times
 from places import SAMPLES
 from simulated import five_axis as sim
 
+from metrocli.project.job import load
+from metrocli.project.runner import content
+from metrocli.tasks.calibrate_machine.other_settings import other_settings
+
 Metrocli = Callable[..., Any]
 FEW = first(45)
 GON = 1 / 0.9
@@ -59,6 +63,19 @@ def test_the_ball_whose_angles_are_wrong_is_named(words: str, tmp_path: Path, me
     data.write_text("\n".join(rows) + "\n")
     ran = metrocli("diagnose", tmp_path / "jobs" / "after.yaml", "--quick")
     assert f"c_deg of ball K1 {words}" in ran.out, ran.out + ran.err
+
+
+def test_the_sign_of_an_axis_is_tried_where_another_one_stands_still(tmp_path: Path) -> None:
+    """The first axis decided for all of them, and the turning one of such a ball was passed over."""
+    shutil.copytree(SAMPLES / "five-axis", tmp_path, dirs_exist_ok=True)
+    data, rows = tmp_path / "data" / "after.csv", []
+    for line in FEW(data.read_text()).splitlines():
+        cells = line.split(",")
+        cells[4] = "0" if cells[0] == "K1" else cells[4]
+        rows.append(",".join(cells))
+    data.write_text("\n".join(rows) + "\n")
+    tried = [wrong.words for wrong, _ in other_settings(content(load(tmp_path / "jobs" / "after.yaml")), False)]
+    assert "c_deg of ball K1 has the wrong sign" in tried and "a_deg of ball K1 has the wrong sign" not in tried
 
 
 def polar(text: str) -> str:

@@ -153,6 +153,32 @@ def test_one_gross_distance_is_left_out_though_nothing_converges_with_it(seed: i
     assert result.statistics["rejected"] == len(outliers) and not doubts_of(result, ())
 
 
+def test_two_gross_distances_of_four_are_left_out() -> None:
+    """One was left out, the other spoilt the place, and the angles of all poses were named as outliers or not at all."""
+    given = anywhere(8, 3, distances=True).noisy(np.random.default_rng(3))
+    assert given.distance is not None
+    few = np.where(np.arange(8) < 4, given.distance, np.nan)
+    wrong = replace(given, distance=few + np.isin(np.arange(8), [0, 2]) * np.where(np.arange(8), 4000.0, 5200.0))
+    job = locate_launch_unit.TASK.job(replace(settings(), outliers="remove"), wrong.table())
+    result = locate_launch_unit.run(job)
+    outliers = result.tables["outliers"]
+    assert {*zip(outliers.texts("pose"), outliers.texts("reading"), strict=True)} == {
+        ("P0", "distance"),
+        ("P2", "distance"),
+    }
+    assert result.statistics["rejected"] == 2 and not doubts_of(result, ())
+
+
+@pytest.mark.parametrize(("outliers", "advised"), [("report", True), ("remove", False)])
+def test_a_job_that_leaves_outliers_out_is_not_advised_to(outliers: str, advised: bool) -> None:
+    given = anywhere(8, 17).noisy(np.random.default_rng(17))
+    angles = given.angles + 1e-3 * np.random.default_rng(1).normal(size=given.angles.shape)
+    angles[0, 2] += 0.5
+    job = locate_launch_unit.TASK.job(replace(settings(), outliers=outliers), replace(given, angles=angles).table())
+    (absurd,) = (text for text in locate_launch_unit.run(job).warnings if "does not fit the readings" in text)
+    assert ("`outliers: remove`" in absurd) == advised
+
+
 @pytest.mark.parametrize("seed", [6, 9])
 def test_distances_in_metres_end_in_few_steps(seed: int) -> None:
     """They and the angles contradict each other, and the place descends along a beam: more steps decide nothing."""

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from statistics import NormalDist
+from typing import Any
 
 import numpy as np
 import pytest
@@ -195,3 +198,27 @@ def test_a_place_off_its_list_does_not_hide_a_layout_that_determines_nothing(lay
         multilaterate.run(multilaterate.TASK.job(settings(), net.lengths(), net.point_table()))
     why = "there are 3 tracers" if layout == "three tracers" else "the points lie on a line"
     assert why in str(failed.value) and "lengths of P4" not in str(failed.value)
+
+
+@pytest.mark.parametrize(("outliers", "advised"), [("report", True), ("remove", False)])
+def test_a_job_that_leaves_outliers_out_is_not_advised_to(outliers: str, advised: bool) -> None:
+    drawn = network(20, 6, seed=3).read(np.random.default_rng(1))
+    drawn.readings[:, :] += np.random.default_rng(2).normal(0, 0.03, drawn.readings.shape)
+    drawn.readings[7, 2] += 5.0
+    job = multilaterate.TASK.job(replace(settings(), outliers=outliers), drawn.lengths(), drawn.point_table())
+    (absurd,) = (text for text in multilaterate.run(job).warnings if "does not fit the readings" in text)
+    assert ("`outliers: remove`" in absurd) == advised
+
+
+def test_a_diagnosis_leaves_out_no_more_than_what_is_far_off(tmp_path: Path, metrocli: Callable[..., Any]) -> None:
+    """Points that a cable spoils counted as outliers: 16 lengths were left out, and the cable explained half as much."""
+    metrocli("init", tmp_path / "p", "--sample", "laboratory-effects")
+    data, job = tmp_path / "p" / "data" / "lengths.csv", tmp_path / "p" / "jobs" / "hall.yaml"
+    lines = data.read_text().splitlines()
+    cells = lines[4].split(",")
+    lines[4] = ",".join([*cells[:2], str(float(cells[2]) + 4000), *cells[3:]])
+    data.write_text("\n".join(lines) + "\n")
+    job.write_text(job.read_text() + "outliers: remove\n")
+    found = metrocli("diagnose", job, "--quick").out
+    assert "without the reading that `outliers: remove` leaves out" in found
+    assert "cable-wrap LT5 explains 84 % of the misfit" in found

@@ -62,6 +62,20 @@ def test_a_run_names_them_too(tmp_path: Path, metrocli: Metrocli) -> None:
     assert ran.code == 3 and "293.45 K are 20.3 degC: look at the unit of temp_degC" in ran.err
 
 
+def test_a_number_in_the_internal_unit_is_not_explained_by_itself(tmp_path: Path, metrocli: Metrocli) -> None:
+    job = hall(metrocli, tmp_path / "p", "pressure", lambda v: v)
+    file = tmp_path / "p" / "data" / "lengths.csv"
+    file.write_text(file.read_text().replace("pressure_hPa", "pressure_Pa"))
+    assert (
+        "1011 Pa is read, and 1011 hPa are usual: look at the unit of pressure_Pa" in metrocli("multilaterate", job).err
+    )
+
+
+def test_large_numbers_are_written_as_the_file_has_them(tmp_path: Path, metrocli: Metrocli) -> None:
+    job = hall(metrocli, tmp_path / "p", "pressure", lambda v: 100 * v)
+    assert "101100 hPa is read, and 101100 Pa are 1011 hPa" in metrocli("multilaterate", job).err
+
+
 WHOLE = {
     "temp_degC seems to be in degF": ("temp", FAHRENHEIT),
     "pressure_hPa seems to be in kPa": ("pressure", lambda v: v / 10),
