@@ -23,6 +23,7 @@ from metrocli.tasks.adjust_network.suspects import SuspectedReading
 from metrocli.tasks.shared.joint_covariance import factors
 from metrocli.tasks.shared.noise import NoiseFound
 from metrocli.tasks.shared.statistics import (
+    REMOVE,
     Statistics,
     basic_statistics,
     beyond_bound,
@@ -35,7 +36,6 @@ from metrocli.tasks.shared.statistics import (
 )
 from metrocli.words import listed
 
-_REMOVE = "`outliers: remove`"
 _LARGEST_JOINT = 2000
 """Most points whose joint covariance the result holds as one matrix"""
 _ONCE = 5
@@ -71,7 +71,7 @@ def report(solved: AdjustedNetwork, noise: NoiseFound) -> Result:
         shown=tuple(_shown(solved)),
         notes=(
             *found_notes(noise),
-            *noise_notes(solution, cures=(_REMOVE,)),
+            *noise_notes(solution, cures=(REMOVE,)),
             *_datum_note(solved),
             *(f"its list decides, since a mirror image fits as well: {place.words}" for place in solved.second[:_ONCE]),
         ),
@@ -268,12 +268,12 @@ def _datum_note(solved: AdjustedNetwork) -> Iterator[str]:
 
 def _warnings(solved: AdjustedNetwork, solution: Solution) -> Iterator[str]:
     yield from solved.network.readings.warnings
-    yield from noise_warnings(solution, () if solved.rejected else (_REMOVE,))
+    yield from noise_warnings(solution, (REMOVE,), len(solved.rejected))
     if solved.rejected:
         named = listed(_named(solved.rejected))
         yield f"{len(solved.rejected)} readings are left out as wrong: {named} (table rejected)"
     if solved.suspects:
-        yield beyond_bound(_named(solved.suspects), solved.critical, f"{_REMOVE} leaves them out")
+        yield beyond_bound(_named(solved.suspects), solved.critical, f"{REMOVE} leaves them out")
     once = _seen_once(solved)
     if once:
         named = listed(once, _ONCE)

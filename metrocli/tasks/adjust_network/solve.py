@@ -285,7 +285,7 @@ def _must_be_determined(network: Network, solution: Solution, out: Sequence[Susp
         raise UndeterminedError("\n".join([solution.outcome.value, *lines, *gone, *_cures(solution)]), misfit)
     if not solution.outcome.good:
         message = f"{solution.outcome.value} ({solution.iterations} steps)"
-        raise NotConvergedError(message + sightings_to_blame(network), solution.misfit)
+        raise NotConvergedError(message + sightings_to_blame(network, bool(out)), solution.misfit)
 
 
 def _cures(solution: Solution) -> Iterator[str]:

@@ -201,7 +201,7 @@ def _warnings(
             "take images from positions further apart, or with the spindle turned by 90 or 180 degrees"
         )
     lines = image_warnings(adjusted, problem.sighted, views, lines)
-    return lines + (noise_warnings(adjusted.solution) if adjusted.noise is None else [])
+    return lines + (noise_warnings(adjusted.solution, removed=len(adjusted.rejected)) if adjusted.noise is None else [])
 
 
 def explained(problem: AlignmentProblem, solution: Solution) -> str:

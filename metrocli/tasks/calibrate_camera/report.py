@@ -209,6 +209,6 @@ def _warnings(solved: _Calibration, views: Table | None) -> list[str]:
     adjusted_problem = problem.with_blocks({**problem.blocks, **solved.solution.blocks})
     lines += angle_warnings(adjusted_problem, solved.solution.std(camera.LENS)[0])
     lines += turned_too_little(adjusted_problem) + seen_from_behind(adjusted_problem)
-    lines += noise_warnings(solved.solution) if adjusted.noise is None else []
+    lines += noise_warnings(solved.solution, removed=len(adjusted.rejected)) if adjusted.noise is None else []
     lines += solved.centre.warnings() if solved.centre is not None else []
     return lines + [text for text, among in folds(solved.problem, adjusted) if not among]

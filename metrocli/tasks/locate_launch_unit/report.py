@@ -99,7 +99,7 @@ def _as_adjusted(
         plain=("dof",),
         warnings=(
             *problem.warnings,
-            *noise_warnings(solution, cures=() if located.left_out else (REMOVE,)),
+            *noise_warnings(solution, (REMOVE,), located.left_out),
             *_outlier_warnings(outliers, located.critical, bool(statistics["rejected"])),
             *_repeated(problem.readings),
         ),

@@ -221,8 +221,8 @@ def _or(others: Sequence[str]) -> str:
 
 
 def _warnings(solved: AdjustedTracers) -> list[str]:
-    cures = [*([] if solved.rejected else [REMOVE]), *([] if solved.network.noise.repeatability else [REPEATS])]
-    lines = [*solved.network.warnings, *noise_warnings(solved.solution, cures)]
+    cures = (REMOVE,) if solved.network.noise.repeatability else (REMOVE, REPEATS)
+    lines = [*solved.network.warnings, *noise_warnings(solved.solution, cures, len(solved.rejected))]
     keys = solved.whole.lengths.observations.keys
     wrong = [
         f"{keys['point'][rejected.row]}/{name_of(keys, 'tracer', rejected.row)}"

@@ -19,7 +19,7 @@ from metrocli.words import listed
 
 def warnings(solved: AdjustedGrid, left_open: Open, std: Array, left_out: Sequence[LeftOut]) -> list[str]:
     """Return the warnings of a self-calibration; std is that of the machine error, inf where it is undetermined."""
-    lines = noise_warnings(solved.solution)
+    lines = noise_warnings(solved.solution, removed=len(solved.rejected))
     if left_open.families:
         open_share = float((~np.isfinite(std)).mean())
         lines += left_open.sentences()[1:]

@@ -147,12 +147,13 @@ def chi_interval(solution: Solution) -> tuple[float, float]:
     return float(np.sqrt(low / solution.dof)), float(np.sqrt(high / solution.dof))
 
 
-def noise_warnings(solution: Solution, cures: Collection[str] = (ESTIMATED, REMOVE)) -> list[str]:
+def noise_warnings(solution: Solution, cures: Collection[str] = (ESTIMATED, REMOVE), removed: int = 0) -> list[str]:
     """Return a warning if sigma0 is above its 95 % interval, else an empty list.
 
-    `cures` are the settings of the job that the warning may recommend. Whether the result may be used at all is
-    decided in `metrocli/doubt.py`.
+    `cures` are the settings of the job that the warning may recommend, without the one that has `removed` readings.
+    Whether the result may be used at all is decided in `metrocli/doubt.py`.
     """
+    cures = [cure for cure in cures if cure != REMOVE or not removed]
     low, high = chi_interval(solution)
     if not np.isfinite(solution.sigma0) or solution.sigma0 <= high:
         return []

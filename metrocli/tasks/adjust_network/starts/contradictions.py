@@ -83,16 +83,17 @@ def _in_words(network: Network, sightings: Index, off: Array) -> str:
     return listed(texts, _NAMED)
 
 
-def sightings_to_blame(network: Network) -> str:
-    """Return the sightings that contradict the set-ups, why an adjustment does not converge; nothing without any."""
+def sightings_to_blame(network: Network, removes: bool) -> str:
+    """Return the sightings that contradict the set-ups, why an adjustment does not converge; nothing without any.
+
+    A job that `removes` outliers has done so already.
+    """
     rows, off = _astray(network)
     if not rows.size:
         return ""
     alone = _alone(network, rows).any()
-    return (
-        f".\n  Sightings contradict the set-ups: {_in_words(network, rows, off)}"
-        f"{_UNDECIDED if alone else '; `outliers: remove` leaves them out'}"
-    )
+    cure = _UNDECIDED if alone else "" if removes else "; `outliers: remove` leaves them out"
+    return f".\n  Sightings contradict the set-ups: {_in_words(network, rows, off)}{cure}"
 
 
 def removable(network: Network) -> dict[str, Index]:

@@ -109,7 +109,7 @@ def report(system: CameraSystem, adjusted: AdjustedImages, job: Job[Settings, Fi
         statistics={**statistics, **(tested.statistics if tested is not None else {})},
         tables=tables,
         arrays={"correlation": p.correlation, **arrays},
-        warnings=(*warnings, *(noise_warnings(solution) if known else ())),
+        warnings=(*warnings, *(noise_warnings(solution, removed=len(adjusted.rejected)) if known else ())),
         doubts=tuple(doubts),
         shown=(ShownTable(CAMERAS, ("camera", "x", "y", "z", "alpha", "beta", "gamma")),),
         notes=(
