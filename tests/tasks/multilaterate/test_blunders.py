@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -103,8 +104,9 @@ def test_lengths_in_wrong_rows_are_named_where_the_adjustment_does_not_converge(
     readings[rows[:10], columns] = np.roll(readings[rows[:10], columns], 1)
     wrong = replace(net, readings=readings)
     tables = wrong.lengths(), wrong.point_table(), wrong.tracer_table()
-    with pytest.raises(NotConvergedError, match=r"the lengths of \d+ points do not meet.*`outliers: remove`") as caught:
+    with pytest.raises(NotConvergedError, match=r"lengths of P5 \(line \d+\) are off by up to \d+ mm") as caught:
         multilaterate.run(multilaterate.TASK.job(settings(), *tables))
+    assert {f"P{row}" for row in rows[:10]} == set(re.findall(r"lengths of (P\d+) \(line", str(caught.value)))
     # the others fit: no other unit or axis of the files is tried
     assert caught.value.misfit < 3
     removed = multilaterate.run(multilaterate.TASK.job(settings(outliers="remove"), *tables))
