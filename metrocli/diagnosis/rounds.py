@@ -16,7 +16,7 @@ from metrocli.diagnosis.evidence.identified import IdentifiedEffect, all_identif
 from metrocli.diagnosis.evidence.measured_job import measurement_of
 from metrocli.diagnosis.evidence.measurement import Measurement
 from metrocli.diagnosis.evidence.moves import effects
-from metrocli.diagnosis.evidence.parts import LARGEST, Fixed, Random
+from metrocli.diagnosis.evidence.parts import LARGEST, SCATTER, Fixed, Random
 from metrocli.diagnosis.evidence.refined import refined
 from metrocli.diagnosis.evidence.search import forward, pruned, swapped
 from metrocli.diagnosis.evidence.state import State
@@ -101,7 +101,14 @@ def _is_smoothed(state: State) -> bool:
     """
     m = state.measurement
     has_terms = any(family.alternatives[0].effect.link is None for family in m.families if family.alternatives)
-    return has_terms and m.dof >= _MANY and State.of(m, state.named).variance > _DOMINANT * state.variance
+    if not has_terms or m.dof < _MANY:
+        return False
+    smooth = [
+        part
+        for part in state.random
+        if part.kind != SCATTER or m.scatters[part.key[0]][0].alternatives[0].effect.is_smooth
+    ]
+    return bool(smooth) and state.minus(smooth).variance > _DOMINANT * state.variance
 
 
 def _old_and_new(state: State) -> tuple[list[Fixed], list[Fixed]]:
@@ -247,8 +254,11 @@ def searched_from(job: AdjustedJob, begin: State, quick: bool, without: Sequence
             break
         known = gross or known
         fits = [fit for fit in _fits(job, state, gross, known or Gross({}, {})) if fit.job is not None]
-        if not dominated and len(fits) < 2:
-            break
+        if not dominated:
+            # what is smooth stays as it was found, unless about the solution with a term the state is better
+            fits = [fit for fit in fits if fit.state is not state]
+            if not fits:
+                break
         if not fits and known is not None and (known.readings or known.noise):
             # too few readings are left of something: from now on all of them take part
             known, begin = None, state
@@ -259,7 +269,10 @@ def searched_from(job: AdjustedJob, begin: State, quick: bool, without: Sequence
             break
         begun = [_continued(fit.state, measurement_of(fit.relinearised(job), None, m, alone)) for fit in fits]
         # the adjustments do not know correlated errors and random effects, the states do
-        state, continued = max(zip((fit.state for fit in fits), begun, strict=True), key=lambda both: both[1].score)
+        best, continued = max(zip((fit.state for fit in fits), begun, strict=True), key=lambda both: both[1].score)
+        if not dominated and continued.score <= state.score:
+            break
+        state = best
         m = continued.measurement
         # what the search found before an effect overwhelmed all else was perhaps its higher-order terms
         begin = State.of(m)
