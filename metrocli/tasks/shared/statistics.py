@@ -177,7 +177,7 @@ def noise_notes(solution: Solution, cures: Collection[str] = (ESTIMATED, REMOVE)
         return []
     exact, unlike = _OF_A_UNIT
     times = f"{1 / max(solution.sigma0, exact):.0f} times"
-    unit = f"; they are {times} smaller: look at the units of the readings and of the noise"
+    unit = f"; residuals that are {times} smaller point to a wrong unit of the readings or of the noise"
     return [_noise_sentence(solution, "smaller", low, high, cures) + unit * (exact < solution.sigma0 < unlike)]
 
 

@@ -179,4 +179,4 @@ def test_the_unit_of_displacement_alone(factor: float, job: Path, metrocli: Metr
     file.write_text("".join(",".join(row) + "\n" for row in rows))
     ran = metrocli("calibrate-machine", job.with_name("displacement.yaml"))
     assert ("ex_mm is in um: read so" in ran.out + ran.err) == (factor == 1000)
-    assert ("983 times smaller: look at the units of the readings and of the noise" in ran.out) == (factor < 1)
+    assert ("983 times smaller point to a wrong unit of the readings or of the noise" in ran.out) == (factor < 1)
