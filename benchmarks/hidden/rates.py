@@ -83,9 +83,10 @@ def sole(one: Found) -> bool:
 
 def _told_apart(one: Found) -> bool:
     """Whether an outside effect has a wrong name, although the report excludes such a difference."""
-    share = float(np.sqrt(1 - one.case.hidden[0].near ** 2))
-    names = [finding.other_shape_from < share for finding in one.diagnosis.findings]
-    return one.diagnosis.verdict in ("explained", "indistinct") and any(names)
+    hidden = one.case.hidden[0]
+    share = float(np.sqrt(1 - hidden.near**2))
+    wrong = [each for each in one.diagnosis.findings if each.effect.alternative.effect.name not in hidden.within]
+    return one.diagnosis.verdict in ("explained", "indistinct") and any(each.other_shape_from < share for each in wrong)
 
 
 def _names(one: Found) -> frozenset[str]:
