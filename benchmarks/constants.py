@@ -2,7 +2,7 @@
 
 python -m benchmarks constants [EVERY]
 
-Each number that a module of `metrocli/diagnosis` defines is doubled, then halved. One shared case in EVERY (6 unless
+Each number that a module of `metrocli/diagnosis` defines is doubled, then halved. One shared case in EVERY (16 unless
 given) of each kind, and real boards as they are, are diagnosed anew, until one has another verdict, other names or
 other wrong readings. It prints a line for each number that changes something, and the counts. Data that are absent
 leave their cases out.
@@ -30,7 +30,7 @@ from metrocli.project.diagnosed import adjusted_job_of
 from metrocli.project.job import load
 
 ROOT = Path(__file__).parents[1]
-EVERY, BOARDS_TAKEN = 6, 3
+EVERY, BOARDS_TAKEN = 16, 2
 FACTORS = (2.0, 0.5)
 Jobs = dict[str, AdjustedJob]
 
