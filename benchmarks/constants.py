@@ -2,8 +2,8 @@
 
 python -m benchmarks constants [EVERY]
 
-Each number that a module of `metrocli/diagnosis` defines is doubled, then halved. One shared case in EVERY (16 unless
-given) of each kind, and real boards as they are, are diagnosed anew, until one has another verdict, other names or
+Each number that a module of `metrocli/diagnosis` defines is doubled, then halved. One shared case in EVERY (24 unless
+given) of each kind, and a real board as it is, are diagnosed anew, until one has another verdict, other names or
 other wrong readings. It prints a line for each number that changes something, and the counts. Data that are absent
 leave their cases out.
 """
@@ -30,7 +30,7 @@ from metrocli.project.diagnosed import adjusted_job_of
 from metrocli.project.job import load
 
 ROOT = Path(__file__).parents[1]
-EVERY, BOARDS_TAKEN = 16, 2
+EVERY, BOARDS_TAKEN = 24, 1
 FACTORS = (2.0, 0.5)
 Jobs = dict[str, AdjustedJob]
 
@@ -61,7 +61,8 @@ class Number:
 def _modules() -> list[str]:
     paths = sorted((ROOT / "metrocli" / "diagnosis").rglob("*.py"))
     names = (".".join(path.relative_to(ROOT).with_suffix("").parts) for path in paths)
-    return [name.removesuffix(".__init__") for name in names]
+    # those of the search first
+    return sorted((name.removesuffix(".__init__") for name in names), key=lambda name: ".evidence." not in name)
 
 
 def _importers(owner: str, name: str) -> Iterator[ModuleType]:
