@@ -13,7 +13,7 @@ from places import SHARED
 from simulated import machine as sim
 from simulated import machine_lengths as lengths
 
-from metrocli.errors import InputError, UndeterminedError
+from metrocli.errors import InputError, NotConvergedError, UndeterminedError
 from metrocli.project.inputs import read_inputs
 from metrocli.project.job import load
 from metrocli.result import Result
@@ -98,6 +98,25 @@ def test_gross_lengths_are_no_repeatability() -> None:
     result = run(lengths.settings(noise=noise, outliers="remove"), spoilt)
     assert set(result.tables["rejected"].texts("point")) == {"P10 at S1", "P60 at S1", "P60 at S3"}
     assert result.statistics["repeatability"] == pytest.approx(2e-3, rel=0.1)
+    (left_out,) = (line for line in result.warnings if "left out as wrong" in line)
+    assert left_out.startswith("3 readings are") and "point P60 at S3 (w = " in left_out
+
+
+@pytest.mark.parametrize("repeatability", [2e-3, "estimated"])
+def test_lengths_off_by_metres_are_named_and_left_out(repeatability: float | str) -> None:
+    """Least squares carries a station away with them: the refusal named its place as what is not determined."""
+    rng = np.random.default_rng(38)
+    table = lengths.measured(sim.random_machine(rng), rng, 120, repeatability=2e-3)
+    length = table.numbers("length").copy()
+    length[[10, 300]] += np.array([3000.0, -3000.0])
+    spoilt = replace(table, columns={**table.columns, "length": length})
+    noise = replace(lengths.NOISE, repeatability=repeatability)
+    with pytest.raises(NotConvergedError, match=r"without point P60 at S3, point P10 at S1 the others have a solution"):
+        run(lengths.settings(noise=noise), spoilt)
+    result = run(lengths.settings(noise=noise, outliers="remove"), spoilt)
+    (line,) = (line for line in result.warnings if "left out as wrong" in line)
+    assert line.startswith("2 readings are left out as wrong: point P60 at S3 (w = ")
+    assert result.statistics["sigma0"] == pytest.approx(1, abs=0.15)
 
 
 def test_no_length_is_gross_where_few_are_redundant() -> None:
