@@ -26,6 +26,8 @@ ESTIMATED, REMOVE = "`noise: estimated`", "`outliers: remove`"
 """Settings that a warning recommends, if the job has them"""
 REPEATS = "`noise: {repeatability: estimated}`"
 """A setting that a warning recommends where the carrier returns to its places for each station"""
+_BEYOND = 1e6
+"""Tests from here on differ by chance: readings that are far off, or that nothing predicts"""
 _NAMED = 5
 """Outliers that a warning names, at most"""
 
@@ -215,7 +217,7 @@ def left_out(names: Sequence[str], noun: str = "reading") -> list[str]:
 def with_tests(names: Iterable[str], tests: Iterable[float]) -> list[str]:
     """Return the names of readings with their |w|, the worst first."""
     worst = sorted(zip(tests, names, strict=True), reverse=True)
-    return [f"{name} (w = {test:.1f})" for test, name in worst]
+    return [f"{name} (w {f'= {test:.1f}' if test < _BEYOND else f'> {_BEYOND:g}'})" for test, name in worst]
 
 
 def reliability(
