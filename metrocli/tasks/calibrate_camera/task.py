@@ -163,7 +163,7 @@ def _strange_beside_others(problem: CameraProblem, options: Options) -> list[str
         problem.blocks, problem.images, problem.others, problem.datum, replace(options, remove_outliers=True)
     )
     images = apart_from_others(problem.images, rest) if rest.solution.outcome.good else []
-    fits = "do not fit those of the other images, which fit each other: are their targets named otherwise?"
+    fits = "do not fit those of the other images, which fit each other; check the names of their targets"
     return [f"the points of {listed(images)} {fits}"] if images else []
 
 
