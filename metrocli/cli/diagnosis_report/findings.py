@@ -120,7 +120,7 @@ def _extension(diagnosis: Diagnosis, law: Law | None) -> str:
 def _shared(diagnosis: Diagnosis) -> str:
     """Return what the extended job has for errors that readings share, and for noisier ones beside these."""
     shared = ["`correlated:` errors"] if proposed_correlated(diagnosis) else []
-    shared += [f"`noise: {noise}`"] if (noise := proposed_noise(diagnosis)) else []
+    shared += [f"`{diagnosis.job.model_key}: {noise}`"] if (noise := proposed_noise(diagnosis)) else []
     return in_a_row([*shared, *(["`variance_groups:`"] if proposed_variances(diagnosis) else [])])
 
 
