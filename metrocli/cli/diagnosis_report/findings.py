@@ -245,7 +245,7 @@ def _row_of_scatter(scatter: RandomEffect, adjusted: AdjustedJob) -> tuple[str, 
         ", ".join(map(str, scatter.rivals)),
         _reduction(scatter.gain),
         _score(scatter.gain),
-        units.sized(scatter.shift, adjusted.delivered.dimension),
+        units.changed_by(scatter.shift, adjusted.delivered.dimension),
     )
 
 
@@ -264,7 +264,7 @@ def _row(finding: Finding, adjusted: AdjustedJob) -> tuple[str, ...]:
         listed(finding.instead, _SHOWN),
         _reduction(gain),
         _score(gain),
-        units.sized(finding.shift, adjusted.delivered.dimension),
+        units.changed_by(finding.shift, adjusted.delivered.dimension),
     )
 
 
