@@ -158,6 +158,8 @@ class AdjustedJob:
     """The noise that the job declares, in words"""
     noise_model: str = ""
     """estimated or structured, if the size of the noise follows from the residuals"""
+    model_key: str = "noise"
+    """Key of the job under which these words stand: `model` beside declared parts"""
     adjusted: frozenset[tuple[str, tuple[str, ...]]] = frozenset()
     """Cause and place of the effects that were adjusted to reach the present values of its unknowns"""
     standing: tuple[Standing, ...] = ()

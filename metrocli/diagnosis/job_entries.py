@@ -141,6 +141,11 @@ def model_of(node: Node | None) -> str:
     return text.text if text is not None and text.text in FROM_RESIDUALS else ""
 
 
+def key_of_model(node: Node | None) -> str:
+    """Return the key under which a job states what its noise is: beside declared parts, else in their place."""
+    return _MODEL if node is not None and node.kind == "mapping" else "noise"
+
+
 def with_model(root: Node, declared: Node, model: str) -> Node:
     """Return the noise of a job with a model: beside its declared parts, else in their place."""
     if declared.kind != "mapping":

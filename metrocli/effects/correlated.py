@@ -29,7 +29,7 @@ from metrocli.effects.effect import Effect, Parameter
 from metrocli.effects.extension import extended, with_conditions, with_effect_everywhere
 from metrocli.effects.model import Model
 from metrocli.effects.requested import RequestedEffect
-from metrocli.effects.variance_groups import with_variance_groups
+from metrocli.effects.variance_groups import no_places, with_variance_groups
 from metrocli.errors import Fault, InputError
 from metrocli.frozen import dataclass
 from metrocli.nodes import Node
@@ -102,10 +102,10 @@ def _misplaced(model: Model, error: StatedCorrelation, known: Mapping[str, Covar
         at = node.get("covariate") or node
         message = f"correlated: the readings have no covariate '{error.covariate}'"
         return [at.fault(message, f"one of: {in_a_row(list(known))}")]
-    kinds = [key for key, place in model.places.items() if place.index]
+    kinds = [key for key, place in model.places.items() if place.index and place.names]
     if error.by and error.by not in kinds:
         at = node.get("by") or node
-        return [at.fault(f"correlated: the readings have no '{error.by}' of their own", f"one of: {in_a_row(kinds)}")]
+        return [no_places(model, "correlated", error.by, kinds, at)]
     if error.only and not error.by:
         return [node.fault("correlated: `only` without `by`", "write by: the kind of that place, such as tracer")]
     if error.only and error.only not in model.places[error.by].names:

@@ -100,8 +100,7 @@ def _misplaced(model: Model, stated: Sequence[tuple[RequestedEffect, str, str]],
     names = _names(model)
     if by not in names:
         at = request.node.get("by") or request.node
-        hint = suggestion(by, [*names]) if names else "they are of one kind and have no places: leave it out"
-        return [at.fault(f"{_KEY}: the readings have no '{by}' of their own", hint)]
+        return [no_places(model, _KEY, by, [*names], at)]
     at = request.node.get("only") or request.node
     if only not in names[by]:
         return [at.fault(f"{_KEY}: there is no {by} '{only}'", suggestion(only, names[by]))]
@@ -110,3 +109,16 @@ def _misplaced(model: Model, stated: Sequence[tuple[RequestedEffect, str, str]],
     if any((by, only) == (other, name) for _, other, name in stated[:number]):
         return [request.node.fault(f"{_KEY}: {by} {only} is listed twice", "leave one of them out")]
     return []
+
+
+def no_places(model: Model, key: str, by: str, kinds: Sequence[str], at: Node) -> Fault:
+    """Return the fault of an entry `by` places that the readings have not, with the kind that may be meant.
+
+    Files call places otherwise: the names in the column `station` are those of tracers.
+    """
+    names = {name for group in model.readings for name in group.observations.keys.get(by, ())}
+    same = [kind for kind in kinds if kind in model.places and names and names <= {*model.places[kind].names}]
+    hint = suggestion(by, kinds) if kinds else "they are of one kind and have no places: leave it out"
+    if same:
+        hint = f"write by: {same[0]}, which has the names in the column '{by}'"
+    return at.fault(f"{key}: the readings have no '{by}' of their own", hint)

@@ -77,7 +77,7 @@ def draw(canvas: Canvas, overstock: OverstockFigure) -> str:
     least = f"{overstock.least[0]:.3f} mm at {overstock.least_at[0]}, {overstock.surfaces[0]}"
     parts = [f"Bar: from least to largest; U of the least is that of its point. The least of all is {least}."]
     if overstock.left_out:
-        parts.append("Points that were left out are chips or flash.")
+        parts.append("Points that were left out are chips, flash or wrong (table rejected).")
     if len(overstock.surfaces) < overstock.of:
         parts.append(f"{len(overstock.surfaces)} of {overstock.of} surfaces are shown, those with the least.")
     return " ".join(parts)

@@ -8,7 +8,7 @@ from functools import partial
 
 from metrocli import tasks
 from metrocli.diagnosis.adjusted_job import AdjustedJob
-from metrocli.diagnosis.job_entries import declared_noise, model_of
+from metrocli.diagnosis.job_entries import declared_noise, key_of_model, model_of
 from metrocli.diagnosis.trials import Others
 from metrocli.effects.acting import Variable
 from metrocli.effects.own import columns
@@ -27,14 +27,15 @@ def adjuster(job: JobFile, more: Sequence[Variable] = (), adjusted: Adjuster | N
     adjusts = adjusted or task.diagnosed
     if adjusts is None:
         raise UsageError(f"{job.kind} jobs cannot be diagnosed")
-    declared, model = declared_noise(job.root.get("noise")), model_of(job.root.get("noise"))
+    noise = job.root.get("noise")
+    declared, model, key = declared_noise(noise), model_of(noise), key_of_model(noise)
     places = columns.with_variables(task.places, more)
 
     def adjust(inputs: Mapping[str, object], settings: object = job.settings) -> AdjustedJob:
         other = adjusts(task.job(settings, effects=job.effects, **inputs))
         every = (*other.effects, *job.own.effects)
         stated = task.covariates is not None
-        other = replace(other, declared=declared, noise_model=model, states_correlated=stated)
+        other = replace(other, declared=declared, noise_model=model, model_key=key, states_correlated=stated)
         return replace(other, effects=every, places=places, removes=_removes(job))
 
     return adjust

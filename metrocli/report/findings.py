@@ -194,7 +194,7 @@ def next_step(content: Content) -> str | Html:
         if _ended(diagnosis.data):
             return Html(f"Diagnose with more time: {code(f'metrocli diagnose {content.job} --limit 600s')}.")
         if _limits(diagnosis.data):
-            return "Declare the noise that the readings have, or `noise: estimated`, and run the job again."
+            return "Declare the noise that the readings have, or let the job estimate it, and run the job again."
     if record.status == DOUBTFUL:
         return Html(f"Find the cause by {diagnose}.")
     if record.status not in USABLE:

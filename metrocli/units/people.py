@@ -98,6 +98,15 @@ def sized(value: float, dimension: str) -> str:
     return f"{two_digits(size)} {'' if symbol == '1' else symbol}".strip() if math.isfinite(size) else NOT_DETERMINED
 
 
+_ROUNDING = 1e-10
+"""Smaller changes of a result, in internal units, are those of the arithmetic"""
+
+
+def changed_by(value: float, dimension: str) -> str:
+    """Return a change of a result as `sized` does, but not the change that rounding makes."""
+    return "below rounding" if abs(value) < _ROUNDING else sized(value, dimension)
+
+
 def roughly(value: float, unit: str) -> str:
     """Return a length (mm) to two digits in another unit, for sentences: "0.21 um"."""
     number = two_digits(find_unit(unit, "length").outside(value))

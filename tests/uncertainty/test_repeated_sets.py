@@ -73,5 +73,7 @@ def test_the_command_and_what_it_refuses(tmp_path: Path, metrocli: Callable[...,
     assert ran.code == 6 and summary["sets"] == 3 and set(summary["points"]) == {f"{a} of 40 points" for a in "xyz"}
     assert "sigma/stated" in metrocli("compare", "--sets", *files).out
     assert metrocli("compare", "--sets", *files, "--require", "max_en < 1").code == 2
+    equal = metrocli("compare", "--sets", *files[:1] * 3).out
+    assert "0 um" in equal and "e-" not in equal  # rounding of the mean was stated with 17 digits
     with pytest.raises(InputError, match="different kinds"):
         repetition([one_set(), one_set(), replace(one_set(), kind="multilaterate")])

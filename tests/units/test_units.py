@@ -185,3 +185,8 @@ def test_an_angle_is_a_slope_only_where_both_agree_within_its_uncertainty() -> N
         pytest.approx(4.58e-4, rel=1e-2),
         "deg",
     )
+
+
+def test_a_change_that_rounding_makes_has_no_size() -> None:
+    """A table had `4.3e-13 nm`."""
+    assert [units.changed_by(size, "length") for size in (4.3e-19, 0.0, 4.3e-7)] == ["below rounding"] * 2 + ["0.43 nm"]

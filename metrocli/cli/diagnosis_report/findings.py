@@ -120,7 +120,7 @@ def _extension(diagnosis: Diagnosis, law: Law | None) -> str:
 def _shared(diagnosis: Diagnosis) -> str:
     """Return what the extended job has for errors that readings share, and for noisier ones beside these."""
     shared = ["`correlated:` errors"] if proposed_correlated(diagnosis) else []
-    shared += [f"`noise: {noise}`"] if (noise := proposed_noise(diagnosis)) else []
+    shared += [f"`{diagnosis.job.model_key}: {noise}`"] if (noise := proposed_noise(diagnosis)) else []
     return in_a_row([*shared, *(["`variance_groups:`"] if proposed_variances(diagnosis) else [])])
 
 
@@ -245,7 +245,7 @@ def _row_of_scatter(scatter: RandomEffect, adjusted: AdjustedJob) -> tuple[str, 
         ", ".join(map(str, scatter.rivals)),
         _reduction(scatter.gain),
         _score(scatter.gain),
-        units.sized(scatter.shift, adjusted.delivered.dimension),
+        units.changed_by(scatter.shift, adjusted.delivered.dimension),
     )
 
 
@@ -264,7 +264,7 @@ def _row(finding: Finding, adjusted: AdjustedJob) -> tuple[str, ...]:
         listed(finding.instead, _SHOWN),
         _reduction(gain),
         _score(gain),
-        units.sized(finding.shift, adjusted.delivered.dimension),
+        units.changed_by(finding.shift, adjusted.delivered.dimension),
     )
 
 

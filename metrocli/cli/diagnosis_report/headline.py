@@ -83,7 +83,6 @@ def smooth(process: CorrelatedError) -> str:
 
 _HIGH_NOISE, _FEW_DOF = 2.0, 30
 """Noise ratio above which, with fewer degrees of freedom than this, several wrong readings may pass as noise"""
-_REAL = "`noise: estimated`, or `model: estimated` beside declared parts,"
 _USUAL = "a machine or mover that does not return to the same place, a wrong sigma, vibration or turbulence of the air"
 
 
@@ -100,7 +99,8 @@ def noise_lines(diagnosis: Diagnosis) -> Iterator[str]:
         yield f"noise: as declared{others} ({interval} times {declared or 'it'})"
     else:
         yield f"noise: {interval} times the declared noise{f' ({declared})' if declared else ''}"
-        yield f"  The result's standard uncertainties are for the declared noise; {_REAL} use the noise that was found."
+        real = f"`{diagnosis.job.model_key}: {ESTIMATED}`"
+        yield f"  The result's standard uncertainties are for the declared noise; {real} uses the noise that was found."
         if noise.low > 1:
             yield f"  Usual reasons: {_USUAL}."
         if noise.low > _HIGH_NOISE and noise.dof < _FEW_DOF:

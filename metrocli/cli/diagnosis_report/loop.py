@@ -27,7 +27,7 @@ def _row(number: int, extension: Extension, first: Diagnosis) -> tuple[str, ...]
     """Return the cells of a step, in the order of `_HEAD`; sizes in the units of the first diagnosis."""
     job, statistics = first.job, extension.done.result.statistics
     held_out = " to ".join(units.sized(size, job.reading[1]) for size in (extension.before, extension.after))
-    shift = "" if extension.shift is None else units.sized(extension.shift, job.delivered.dimension)
+    shift = "" if extension.shift is None else units.changed_by(extension.shift, job.delivered.dimension)
     chance = "p < 1e-12" if extension.p_value < 1e-12 else f"p = {extension.p_value:.2g}"
     chi2, dof = (f"{statistics[name]:.4g}" if name in statistics else "" for name in ("chi2", "dof"))
     if statistics.get("noise_estimated") and "noise_factor" not in statistics:

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 OF_SERIES, OF_SETS = ("max_en", "max_drift_en"), ("max_ratio",)
 """What --require can take for them"""
 FEWEST = 3
+_ROUNDING = 1e-6
+"""Scatter below this share of what is stated is that of the arithmetic: the sets are equal"""
 
 
 def series(files: tuple[Path, ...], days: str | None, require: str | None, as_json: bool) -> int:
@@ -125,15 +127,11 @@ def _text_of_sets(repeats: Repetition) -> str:
     rows = [["quantity", "mean (± sigma)", "sigma", "stated", "sigma/stated"]]
     for quantity in sorted(repeats.quantities, key=lambda quantity: -quantity.ratio):
         name = quantity.name if quantity.group == "estimates" else f"{quantity.group} {quantity.name}"
-        mean = "" if math.isnan(quantity.mean) else units.format_quantity(quantity.mean, quantity.unit, quantity.sigma)
+        sigma = 0.0 if quantity.ratio < _ROUNDING else quantity.sigma
+        mean = "" if math.isnan(quantity.mean) else units.format_quantity(quantity.mean, quantity.unit, sigma)
+        size, unit = units.column_unit(quantity.std, quantity.unit)
         rows.append(
-            [
-                name,
-                mean,
-                f"{quantity.sigma:.3g} {quantity.unit}",
-                f"{quantity.std:.3g} {quantity.unit}",
-                f"{quantity.ratio:.2f}",
-            ]
+            [name, mean, *(f"{value / size:.3g} {unit}" for value in (sigma, quantity.std)), f"{quantity.ratio:.2f}"]
         )
     lines = worst_rows(rows, by="sigma/stated")
     lines.append(

@@ -26,7 +26,7 @@ from metrocli.tasks.adjust_network.problem import Network
 from metrocli.tasks.adjust_network.settings import INTERFEROMETER, Files, NetworkSimulation, Settings
 from metrocli.tasks.adjust_network.simulation import designed, true_network
 from metrocli.tasks.shared.tracker_effects import TRACKER_EFFECTS
-from metrocli.units import roughly, two_digits
+from metrocli.units import find_unit, roughly, two_digits
 
 _GRID = 4
 """Places along each side of the region that are tried"""
@@ -50,7 +50,7 @@ def planned(settings: Settings, files: Files, effects: tuple[RequestedEffect, ..
     network = _network(settings, files, truth, effects)
     solution = _solution(network)
     seen = tuple(_seen(network))
-    tables = {"points": _points(solution), "effects": Table.of_rows(_HEAD, seen)}
+    tables = {"points": _points(solution), "effects": Table.of_rows(_HEAD, [row[:-1] for row in seen])}
     notes = [*_quality(solution), *_blind(seen)]
     if wish is not None and wish.region is not None:
         chosen, table = _further(settings, files, truth, effects)
@@ -127,7 +127,10 @@ def _quality(solution: Solution) -> Iterator[str]:
 
 
 def _seen(network: Network) -> Iterator[tuple[object, ...]]:
-    """Yield how well the network determines each error of each instrument, beside all its unknowns."""
+    """Yield how well the network determines each error of each instrument, beside all its unknowns.
+
+    The rows have the columns of `_HEAD`, then the standard deviation in the largest usual size of the effect.
+    """
     model = with_conditions(network.model)
     for effect in TRACKER_EFFECTS:
         if effect.name == STEERING:
@@ -146,7 +149,10 @@ def _of_effect(network: Network, effect: Effect, name: str) -> Iterator[tuple[ob
         std = float(solution.std(block)[-1, k]) if solution.outcome.good else float("inf")
         seen = std < effect.plausible
         label = f"{effect.name}.{parameter.name}"
-        yield label, name, std, parameter.unit, effect.usual, seen
+        # in the unit of the usual sizes beside it
+        unit = effect.usual.rpartition(" ")[2] if parameter.dimension else parameter.unit
+        size = find_unit(unit, parameter.dimension).outside(std) if parameter.dimension else std
+        yield label, name, size, unit, effect.usual, seen, std / effect.plausible
 
 
 def _blind(seen: tuple[tuple[object, ...], ...]) -> Iterator[str]:
@@ -215,14 +221,8 @@ def _value(network: Network, aim: str) -> float:
     solution = _solution(network)
     if aim != _INSTRUMENT:
         return _worth(solution, aim)
-    shares = [_relative(row) for row in _seen(network)]
+    shares = [float(str(row[-1])) for row in _seen(network)]
     return float(np.sqrt(np.mean(np.minimum(shares, _BLIND) ** 2))) if shares else float("inf")
-
-
-def _relative(row: tuple[object, ...]) -> float:
-    """Return the standard deviation of a row of the effects, in the largest usual size of its effect."""
-    effect = next(effect for effect in TRACKER_EFFECTS if effect.name == str(row[0]).partition(".")[0])
-    return float(str(row[2])) / effect.plausible
 
 
 def _with_station(files: Files, name: str, instrument: str, place: Array) -> Files:

@@ -29,6 +29,7 @@ from metrocli.tasks.shared.statistics import (
     beyond_bound,
     condition_columns,
     found_notes,
+    left_out,
     noise_notes,
     noise_warnings,
     point_shift,
@@ -269,11 +270,9 @@ def _datum_note(solved: AdjustedNetwork) -> Iterator[str]:
 def _warnings(solved: AdjustedNetwork, solution: Solution) -> Iterator[str]:
     yield from solved.network.readings.warnings
     yield from noise_warnings(solution, (REMOVE,), len(solved.rejected))
-    if solved.rejected:
-        named = listed(_named(solved.rejected))
-        yield f"{len(solved.rejected)} readings are left out as wrong: {named} (table rejected)"
+    yield from left_out(_named(solved.rejected))
     if solved.suspects:
-        yield beyond_bound(_named(solved.suspects), solved.critical, f"{REMOVE} leaves them out")
+        yield beyond_bound(_named(solved.suspects), solved.critical)
     once = _seen_once(solved)
     if once:
         named = listed(once, _ONCE)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Mapping
 from dataclasses import replace
 
@@ -32,6 +31,7 @@ from metrocli.tasks.shared.images.adjustment import (
     AdjustedImages,
     Options,
     adjust_images,
+    apart_from_others,
     is_lost,
     must_converge,
     must_fit,
@@ -154,9 +154,7 @@ def _with_images_left_out(
         rest = _adjusted(problem, near, replace(options, remove_outliers=True))
     except (InputError, NotConvergedError):
         return error
-    keys = problem.images.observations.keys["image"]
-    wrong, fitting = Counter(rest.rejected.texts("image")), Counter(rest.group.observations.keys["image"])
-    images = [name for name in dict.fromkeys(keys) if wrong[name] > fitting[name]]
+    images = apart_from_others(problem.images, rest)
     if not images:
         return error
     return InputError(

@@ -32,12 +32,19 @@ from metrocli.tasks.calibrate_camera.shape.spline import with_shape
 from metrocli.tasks.calibrate_camera.simulation import simulate
 from metrocli.tasks.calibrate_camera.starts import about_the_middle
 from metrocli.tasks.job import Job, Task
-from metrocli.tasks.shared.images.adjustment import AdjustedImages, Options, adjust_images, must_converge
+from metrocli.tasks.shared.images.adjustment import (
+    AdjustedImages,
+    Options,
+    adjust_images,
+    apart_from_others,
+    must_converge,
+)
 from metrocli.tasks.shared.images.camera_parameters import delivered
 from metrocli.tasks.shared.images.places import not_sought
 from metrocli.tasks.shared.images.settings import ESTIMATE, SPLINE
 from metrocli.tasks.shared.images.sightings import Needs, sightings
 from metrocli.tasks.shared.images.tables import root_mean_square
+from metrocli.words import listed
 
 
 def run(job: Job[Settings, Files]) -> Result:
@@ -143,8 +150,21 @@ def solved(settings: Settings, problem: CameraProblem) -> AdjustedImages:
     if not solution.outcome.good:
         off = root_mean_square(problem.images.residuals({**problem.blocks, **solution.blocks}))
         other = fisheye_instead(problem, settings.camera, off)
-        must_converge(solution, (*other, *strange_images(problem, problem.images)))
+        strange = strange_images(problem, problem.images) or _strange_beside_others(problem, options)
+        must_converge(solution, (*other, *strange))
     return adjusted
+
+
+def _strange_beside_others(problem: CameraProblem, options: Options) -> list[str]:
+    """Return which images most points have to be left out of, so that the others fit."""
+    if options.remove_outliers:
+        return []
+    rest = adjust_images(
+        problem.blocks, problem.images, problem.others, problem.datum, replace(options, remove_outliers=True)
+    )
+    images = apart_from_others(problem.images, rest) if rest.solution.outcome.good else []
+    fits = "do not fit those of the other images, which fit each other; check the names of their targets"
+    return [f"the points of {listed(images)} {fits}"] if images else []
 
 
 TASK = Task(

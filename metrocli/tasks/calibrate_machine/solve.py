@@ -13,13 +13,15 @@ from metrocli.adjust.robust import FitQuality, Suspects, gross, robust_start, su
 from metrocli.adjust.rounds import adjust_with_iterated_weights, in_rounds, worst_of
 from metrocli.adjust.solution import Residuals, Solution, residuals_of
 from metrocli.arrays import Array, Index
-from metrocli.errors import NotConvergedError, UndeterminedError
+from metrocli.doubt import MANY_LEFT_OUT, MOST_REJECTED
+from metrocli.errors import NoSolutionError, NotConvergedError, UndeterminedError
 from metrocli.frozen import dataclass
 from metrocli.instruments.machine import AXES, TOOL
 from metrocli.tasks.calibrate_machine.problem import MachineProblem
 from metrocli.tasks.calibrate_machine.rank.identifiability import Identifiability, identify
 from metrocli.tasks.shared.lengths import with_repeatability
 from metrocli.tasks.shared.mirror import Mirrored, mirrored, must_be_decided, of_tracers
+from metrocli.words import listed
 
 _VAGUE = (
     "\nan unknown tool vector cannot be separated from the tracker's place: give `tool_uncertainty` as a few mm, "
@@ -76,14 +78,8 @@ def solve(problem: MachineProblem, remove: bool) -> AdjustedMachine:
     """
     identified = identify(problem)
     start = robust_start(identified.blocks.values(), problem.groups, (problem.readings.name,))
-    begun = _KeptReadings(problem.with_blocks(start), identified, ())
-    unknowns = sum(int(block.free.sum()) for block in identified.blocks.values())
-    estimated = problem.noise is not None and problem.noise.std is not None
-    # a robust fit meets as many readings as it has unknowns exactly: their median is no scale if they are the most
-    if remove and estimated and len(problem.names) > 2 * unknowns:
-        # a repeatability that is estimated would grow to the size of a gross error
-        far = gross(problem.readings, start)
-        begun = begun.without(np.flatnonzero(far), far[far > 0])
+    whole = _KeptReadings(problem.with_blocks(start), identified, ())
+    begun = whole.without_gross() if remove else whole
 
     def fewer(used: _KeptReadings, solved: AdjustedMachine) -> tuple[_KeptReadings, bool]:
         worst, suspected = worst_of(solved.suspects), solved.suspects
@@ -92,9 +88,32 @@ def solve(problem: MachineProblem, remove: bool) -> AdjustedMachine:
         adjusted = replace(used, problem=solved.problem.with_blocks(solved.solution.blocks))
         return adjusted.without(suspected.rows[worst], suspected.tests[worst]), True
 
-    solved = in_rounds(begun, _KeptReadings.solved, fewer)[1]
+    try:
+        solved = in_rounds(begun, _KeptReadings.solved, fewer)[1]
+    except NoSolutionError as error:
+        raise error if remove else _contradicted(whole, error) from error
     must_be_decided(solved.second)
     return solved
+
+
+def _contradicted(whole: _KeptReadings, error: NoSolutionError) -> NoSolutionError:
+    """Return the error of readings that have no solution, with those without which they have one, if there are any."""
+    try:
+        rest = whole.without_gross().solved()
+    except NoSolutionError:
+        return error
+    gone = sorted(rest.rejected, key=lambda each: -each[1])
+    if not 0 < len(gone) < MOST_REJECTED * len(whole.problem.names):
+        return error
+    key, them = next(iter(whole.problem.readings.observations.keys)), "them" if len(gone) > 1 else "it"
+    named = listed([f"{key} {name}" for name, _ in gone])
+    # many have one cause: other units, signs and names are tried
+    misfit = rest.solution.misfit if len(gone) < MANY_LEFT_OUT else error.misfit
+    return NotConvergedError(
+        f"the readings contradict each other: without {named} the others have a solution (sigma0 = "
+        f"{rest.solution.sigma0:.3g}); correct {them}, or `outliers: remove`",
+        misfit,
+    )
 
 
 @dataclass(frozen=True)
@@ -116,6 +135,15 @@ class _KeptReadings:
         state = {name: replace(block, free=identified.blocks[name].free) for name, block in values}
         gone = ((names[row], test) for row, test in zip(rows.tolist(), tests.tolist(), strict=True))
         return _KeptReadings(left.with_blocks(state), identified, (*self.rejected, *gone))
+
+    def without_gross(self) -> _KeptReadings:
+        """Return the problem without the readings that are far off at its values."""
+        unknowns = sum(int(block.free.sum()) for block in self.identified.blocks.values())
+        # a robust fit meets as many readings as it has unknowns exactly: their median is no scale if they are the most
+        if not len(self.problem.names) > 2 * unknowns:
+            return self
+        far = gross(self.problem.readings, self.problem.blocks)
+        return self.without(np.flatnonzero(far), far[far > 0])
 
     def solved(self) -> AdjustedMachine:
         problem, solution = with_repeatability(self.problem, adjusted, self.problem.readings.name)

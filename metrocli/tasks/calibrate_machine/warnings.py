@@ -21,7 +21,7 @@ from metrocli.tasks.calibrate_machine.tables import Tables
 from metrocli.tasks.shared.environment import blocks_of
 from metrocli.tasks.shared.mirror import hidden_by
 from metrocli.tasks.shared.part import Warm
-from metrocli.tasks.shared.statistics import REMOVE, REPEATS, beyond_bound, noise_warnings
+from metrocli.tasks.shared.statistics import REMOVE, REPEATS, beyond_bound, left_out, noise_warnings, with_tests
 from metrocli.tasks.shared.uncontrolled import AIR, AIR_WORDS, ASSUMED, ASSUMED_CONTROL, Hidden, table_of
 from metrocli.words import listed
 
@@ -50,7 +50,7 @@ def machine_warnings(solved: AdjustedMachine, settings: Settings, more: Sequence
     """Return the warnings of a calibration: readings, `more`, noise, undetermined errors, weak designs, outliers."""
     identified = solved.identified
     wording = cures(settings)
-    lines = [*solved.problem.warnings, *more, *noise_warnings(solved.solution, wording)]
+    lines = [*solved.problem.warnings, *more, *noise_warnings(solved.solution, wording, len(solved.rejected))]
     if identified.undetermined:
         lines.append(
             f"this measurement does not determine {' '.join(identified.undetermined)}: left out of the tables"
@@ -68,13 +68,11 @@ def machine_warnings(solved: AdjustedMachine, settings: Settings, more: Sequence
             f"a good fit does not ensure a small error ({_better(solved)})"
         )
     rows, tests = solved.suspects.rows.tolist(), solved.suspects.tests.tolist()
+    key, names = next(iter(solved.problem.readings.observations.keys)), solved.problem.names
+    lines += left_out(with_tests([f"{key} {name}" for name, _ in solved.rejected], [w for _, w in solved.rejected]))
     if rows:
-        key, names = next(iter(solved.problem.readings.observations.keys)), solved.problem.names
-        worst = sorted(zip(tests, [names[i] for i in rows], strict=True), reverse=True)
-        suspected = [f"{key} {name} (w = {test:.1f})" for test, name in worst]
-        lines.append(
-            beyond_bound(suspected, solved.suspects.critical, f"{REMOVE} leaves them out" * (REMOVE in wording))
-        )
+        suspected = with_tests([f"{key} {names[i]}" for i in rows], tests)
+        lines.append(beyond_bound(suspected, solved.suspects.critical, REMOVE * (REMOVE in wording)))
     return lines
 
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from metrocli.arrays import Array
+from metrocli.arrays import Array, extents
 from metrocli.errors import NotConvergedError
 from metrocli.frozen import dataclass
 from metrocli.geometry import poses
@@ -17,7 +17,7 @@ from metrocli.tasks.fit_part import KIND
 from metrocli.tasks.fit_part.contradiction import feasible
 from metrocli.tasks.fit_part.draws import drawing
 from metrocli.tasks.fit_part.fit import EVEN, LEAST_MOTION, MOST, max_least_overstock_of_many
-from metrocli.tasks.fit_part.sentences import notes, uncontrolled, warnings
+from metrocli.tasks.fit_part.sentences import MATERIAL, WRONG, notes, uncontrolled, warnings
 from metrocli.tasks.fit_part.solve import FittedPart, fitted_part
 from metrocli.tasks.fit_part.uncertainty import pose_by_step
 from metrocli.tasks.shared.statistics import Statistics
@@ -186,14 +186,15 @@ def _holding(solved: FittedPart) -> Table:
 def _rejected(solved: FittedPart, names: tuple[str, ...]) -> Table:
     rows = np.flatnonzero(~solved.used)
     stock, deviation = solved.levels.stock, solved.levels.deviation
-    value = stock.at(solved.fit.to_part).overstock
+    value, off = stock.at(solved.fit.to_part).overstock, deviation[rows]
+    of_material = np.abs(off) <= MATERIAL * extents(stock.measured[solved.used]).max()
     return Table(
         {
             "point": np.array(names, dtype=str)[rows],
             "surface": np.array(stock.nominal.names, dtype=str)[stock.surface[rows]],
             "overstock": value[rows],
-            "off": deviation[rows],
-            "reason": np.where(deviation[rows] > 0, "flash", "chip").astype(str),
+            "off": off,
+            "reason": np.where(of_material, np.where(off > 0, "flash", "chip"), WRONG).astype(str),
         },
         {"overstock": "mm", "off": "mm"},
     )

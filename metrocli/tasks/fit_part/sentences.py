@@ -23,6 +23,8 @@ _ALIKE = 1e-7
 """Difference of overstock up to which points are equally low: more than `most` gives up [mm]"""
 _DEPENDENT = 1e-6
 """Share of a direction of rows, relative to the largest, below which it is rounding"""
+WRONG, MATERIAL = "wrong", 0.1
+"""Reason of a point farther from the level of its surface than this share of the part: no chip or flash is so large"""
 _LIKELY = 0.05
 """Chance of a surface that stays unclean from which a warning names it"""
 
@@ -79,15 +81,20 @@ def exchanged(solved: FittedPart, low: Mask) -> Mask:
 
 def warnings(solved: FittedPart, surfaces: Table, rejected: Table) -> Iterator[str]:
     """Yield what may be wrong with the measurement or the part."""
-    for reason, what in (("chip", "material is missing"), ("flash", "material stands out")):
+    each = (
+        ("chip", "material is missing"),
+        ("flash", "material stands out"),
+        (WRONG, "no chip or flash is so large: look at coordinates and names"),
+    )
+    for reason, what in each:
         rows = [row for row, text in enumerate(rejected.texts("reason")) if text == reason]
         if rows:
             off = np.abs(rejected.numbers("off")[rows])
             names = [rejected.texts("point")[row] for row in rows]
             count = "1 point is" if len(rows) == 1 else f"{len(rows)} points are"
             yield (
-                f"{count} left out as {reason}: {listed(names, 5)}; {what}, up to {off.max():.2f} mm from the level of "
-                "the surface (table rejected); `outliers: report` keeps all points"
+                f"{count} left out as {reason}: {listed(names, 5)}, up to {off.max():.2f} mm from the level of the "
+                f"surface; {what} (table rejected); `outliers: report` keeps all points"
             )
     minimum, of_used = solved.minimum, solved.fit.local.overstock
     if minimum < 0:
@@ -98,8 +105,10 @@ def warnings(solved: FittedPart, surfaces: Table, rejected: Table) -> Iterator[s
         )
     low = [
         f"{point} ({value:.2f} mm)"
-        for point, value in zip(rejected.texts("point"), rejected.numbers("overstock"), strict=True)
-        if value < minimum
+        for point, value, reason in zip(
+            rejected.texts("point"), rejected.numbers("overstock"), rejected.texts("reason"), strict=True
+        )
+        if value < minimum and reason != WRONG
     ]
     if low:
         yield f"points left out have less than the minimum overstock, the surface stays unclean there: {listed(low, 5)}"

@@ -161,17 +161,23 @@ def without_worst_distances(
     """Return a solution without the distances that are farthest off where the beams meet, and these distances.
 
     It is for readings with no solution, or an absurd one: a gross distance draws the place far along a beam. As few are
-    left out as bring sigma0 down to `absurd`, at most half of them; if none do, the worst one. None if there is no
-    distance, or no solution without it.
+    left out as bring sigma0 down to `absurd`; if none do, the worst one. At most half of them are where they have to
+    check each other, and up to all where the angles alone determine the place. None if there is no distance, or no
+    solution without it.
     """
     distances = next((group for group in problem.groups if group.name == lu.DISTANCE), None)
     if distances is None:
         return None
-    off = np.abs(distances.observations.whitened(distances.residuals(problem.blocks)))[0]
+    every = np.arange(distances.observations.count)
+    alone = _without(problem.blocks, problem.all_groups, lu.DISTANCE, every, fewest=0)
+    checked = alone is not None and not alone.sigma0 > absurd
+    start = alone.blocks if alone is not None and checked else problem.blocks
+    most, fewest = (len(every), 0) if checked else (max(len(every) // 2, 1), _FEW)
+    off = np.abs(distances.observations.whitened(distances.residuals(start)))[0]
     order, names = np.argsort(-off), distances.observations.keys["pose"]
     first: tuple[Solution, tuple[SuspectedPose, ...]] | None = None
-    for count in range(1, max(len(off) // 2, 1) + 1):
-        solution = _without(problem.blocks, problem.all_groups, lu.DISTANCE, order[:count])
+    for count in range(1, most + 1):
+        solution = _without(start, problem.all_groups, lu.DISTANCE, order[:count], fewest)
         gone = tuple(SuspectedPose(lu.DISTANCE, names[row], float(off[row])) for row in order[:count])
         if solution is not None and not solution.sigma0 > absurd:
             return solution, gone
@@ -213,14 +219,16 @@ def _worst(solution: Solution, names: Sequence[str]) -> tuple[SuspectedPose, int
     return max(tests, key=lambda suspect: suspect[0].test)
 
 
-def _without(blocks: Mapping[str, Block], groups: Sequence[Group], name: str, rows: Index) -> Solution | None:
+def _without(
+    blocks: Mapping[str, Block], groups: Sequence[Group], name: str, rows: Index, fewest: int = _FEW
+) -> Solution | None:
     """Return the solution without some readings of a group; None if the others do not determine it, or lead nowhere."""
     left = []
     for group in groups:
         if group.name == name:
-            if group.observations.count - len(rows) < _FEW:
+            if group.observations.count - len(rows) < fewest:
                 return None
             group = group.selected(~np.isin(np.arange(group.observations.count), rows))
         left.append(group)
-    solution = adjust(blocks.values(), left, control=STOPPING)
+    solution = adjust(blocks.values(), [group for group in left if group.observations.count], control=STOPPING)
     return solution if solution.outcome.good and solution.covariance is not None else None

@@ -186,8 +186,9 @@ def _outliers(located: Located) -> Table:
 def _outlier_warnings(outliers: Table, critical: float, removed: bool) -> list[str]:
     rows = zip(*(outliers.texts(name) for name in ("pose", "reading")), outliers.numbers("w"), strict=True)
     names = [f"{reading} of {pose} (w = {w:.1f})" for pose, reading, w in rows]
-    cure = {"cure": "left out"} if removed else {}
-    return [beyond_bound(names, critical, **cure)] if names else []
+    if not names:
+        return []
+    return [f"{beyond_bound(names, critical, '')}; left out" if removed else beyond_bound(names, critical)]
 
 
 def _repeated(readings: AlignedPoses) -> list[str]:

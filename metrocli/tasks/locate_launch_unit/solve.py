@@ -35,6 +35,10 @@ from metrocli.words import in_a_row, listed
 
 _ABSURD = 100.0
 """sigma0 above this cannot come from noise"""
+_NO_DISTANCE = (
+    "the angles agree on a place of the unit that no distance fits: the readings do not decide whether the distances "
+    "are wrong or the places of the poses; check both and their units, or leave out the distances"
+)
 _ENOUGH = 1
 """With more poses than this, wrong columns can be recognised"""
 
@@ -134,18 +138,21 @@ def _located(readings: AlignedPoses, noise: LaunchUnitNoise, how: How) -> Locate
     solution = adjust(problem.blocks.values(), problem.all_groups, control=STOPPING)
     if solution.undetermined or solution.outcome is Outcome.TOO_FEW:
         raise UndeterminedError(_undetermined(problem, solution), solution.misfit)
-    gone: tuple[SuspectedPose, ...] = ()
+    tested, gone = solution, tuple[SuspectedPose, ...]()
     if not solution.outcome.good or solution.sigma0 > _ABSURD:
         fewer = without_worst_distances(problem, _ABSURD)
         fits = fewer is not None and not fewer[0].sigma0 > _ABSURD
-        if fewer is not None and how.remove and (fits or not solution.outcome.good):
-            solution, gone = fewer
-        elif fewer is not None and fits and not how.explain:
+        if fewer is not None and fits and not how.explain:
             # a diagnosis has all readings: where the rest fits, the gross ones are far off, and nothing else
-            solution = covariance_at(fewer[0].blocks.values(), problem.all_groups)
-        elif not solution.outcome.good:
+            solution = tested = covariance_at(fewer[0].blocks.values(), problem.all_groups)
+        elif fewer is not None and all(group.name != lu.DISTANCE for group in fewer[0].groups):
+            raise NotConvergedError(_NO_DISTANCE, solution.misfit)
+        elif not solution.outcome.good and not (how.remove and fewer is not None):
             raise _contradiction(solution, fewer if fits else None)
-    checked = screened(solution, [group.name for group in problem.groups], gone)
+        elif fewer is not None and (fits or not solution.outcome.good):
+            # a place between the readings and the gross ones would name others
+            tested, gone = fewer
+    checked = screened(tested, [group.name for group in problem.groups], gone)
     used = checked.solution if how.remove else solution
     values = used.blocks[lu.UNIT].values[0].copy()
     values[3] = wrapped(values[3])

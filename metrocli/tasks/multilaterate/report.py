@@ -35,6 +35,7 @@ from metrocli.tasks.shared.statistics import (
     condition_columns,
     estimates_of_block,
     found_notes,
+    left_out,
     noise_notes,
     noise_warnings,
     reliability,
@@ -229,8 +230,7 @@ def _warnings(solved: AdjustedTracers) -> list[str]:
         for rejected in solved.rejected
         if rejected.reason in (Reason.GROSS, Reason.OUTLIER)
     ]
-    if wrong:
-        lines.append(f"{len(wrong)} lengths are left out as wrong: {listed(wrong)} (table rejected)")
+    lines += left_out(wrong, "length")
     suspected = [
         f"{suspect.point}/{name_of(keys, 'tracer', suspect.rows[0])} (w = {suspect.test:.1f}{_or(suspect.others)})"
         for suspect in solved.suspects

@@ -15,7 +15,7 @@ from metrocli.table import Table
 from metrocli.uncertainty.distributions import in_trials
 from metrocli.uncertainty.inputs import Inputs
 from metrocli.uncertainty.propagation import Coverage, LinearPropagation, budget_order, coverage_factor, whole_dof
-from metrocli.units import rounded
+from metrocli.units import column_unit, rounded
 from metrocli.words import listed
 
 _LINES = 20
@@ -104,7 +104,8 @@ def reverse_lines(budget: MeasurandBudget, reverse: Mapping[str, Any]) -> list[s
     """Return a reverse budget as lines of text; `reverse` has the U and the target of the measurand."""
     if budget.target is None:
         return []
-    head = f"target U = {budget.target:.6g} {budget.unit}".strip()
+    size, unit = column_unit(budget.target, budget.unit)
+    head = f"target U = {budget.target / size:.6g} {unit}".strip()
     if reverse["reached"]:
         return [f"{head}: reached"]
     if budget.needed is None:
@@ -114,7 +115,8 @@ def reverse_lines(budget: MeasurandBudget, reverse: Mapping[str, Any]) -> list[s
         item, factor = budget.inputs.quantities[i], float(budget.needed[i])
         std = item.std / item.unit.factor
         if math.isfinite(factor):
-            rows.append((item.name, f"{std:.3g}", _at_most(factor * std), item.unit.text))
+            size, unit = column_unit(factor * std, item.unit.text)
+            rows.append((item.name, f"{std / size:.3g}", _at_most(factor * std / size), unit))
         elif item.std > 0:
             unable.append(item.name)
     printed = [f"{head}: not reached"]

@@ -243,7 +243,8 @@ def _astray(readings: GridReadings, n: int, seen: Observed, pitch: float) -> lis
         ball, row = readings.balls[rows[k]], int(rows[k])
         nearest = np.rint(ball + off[k] @ view.turn).astype(np.intp)
         distance = float(np.linalg.norm(off[k])) * pitch
-        meant = f", where {ball_name(nearest)} stands" if not np.array_equal(nearest, ball) else ""
+        other = not np.array_equal(nearest, ball) and (readings.balls == nearest).all(axis=1).any()
+        meant = f", where {ball_name(nearest)} stands" if other else ""
         text = f"{ball_name(ball)} of view '{view.name}' is read {distance:.3g} mm from its place{meant}"
         faults.append(readings.table.fault_at(row, text))
     return faults

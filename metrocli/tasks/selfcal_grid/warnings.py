@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 
@@ -12,12 +12,12 @@ from metrocli.table import Table
 from metrocli.tasks.selfcal_grid.determination.undetermined import Open
 from metrocli.tasks.selfcal_grid.problem import GridProblem
 from metrocli.tasks.selfcal_grid.solve import AdjustedGrid, LeftOut
-from metrocli.tasks.shared.statistics import beyond_bound, noise_warnings
+from metrocli.tasks.shared.statistics import beyond_bound, left_out, noise_warnings, with_tests
 from metrocli.tasks.shared.uncontrolled import SCALE, SCALE_WORDS, Hidden, table_of
 from metrocli.words import listed
 
 
-def warnings(solved: AdjustedGrid, left_open: Open, std: Array, left_out: Sequence[LeftOut]) -> list[str]:
+def warnings(solved: AdjustedGrid, left_open: Open, std: Array, by_view: Sequence[LeftOut]) -> list[str]:
     """Return the warnings of a self-calibration; std is that of the machine error, inf where it is undetermined."""
     lines = noise_warnings(solved.solution, removed=len(solved.rejected))
     if left_open.families:
@@ -28,13 +28,18 @@ def warnings(solved: AdjustedGrid, left_open: Open, std: Array, left_out: Sequen
             "values are those with the least sum of squares of machine and artefact error. The datum is over the "
             "other components. The smooth form and length errors are not given"
         )
-    if len(solved.suspects.rows):
-        observations = solved.problem.readings.observations
-        keys = observations.keys
-        order = solved.suspects.rows[np.argsort(-solved.suspects.tests)]
-        message = [f"{keys['view'][n]}: ({keys['i'][n]}, {keys['j'][n]}, {keys['k'][n]})" for n in order]
-        lines.append(beyond_bound(message, solved.suspects.critical))
-    return lines + _disagreeing(left_out)
+    rejected, suspected = dict(solved.rejected), solved.suspects
+    lines += left_out(with_tests(_balls(solved.whole, rejected), rejected.values()))
+    if len(suspected.rows):
+        balls = with_tests(_balls(solved.problem, suspected.rows.tolist()), suspected.tests.tolist())
+        lines.append(beyond_bound(balls, suspected.critical))
+    return lines + _disagreeing(by_view)
+
+
+def _balls(problem: GridProblem, rows: Iterable[int]) -> list[str]:
+    """Return the names of some readings: view, and ball."""
+    keys = problem.readings.observations.keys
+    return [f"{keys['view'][n]}: ({keys['i'][n]}, {keys['j'][n]}, {keys['k'][n]})" for n in rows]
 
 
 def contradicting(solved: AdjustedGrid) -> list[str]:
@@ -52,10 +57,10 @@ def contradicting(solved: AdjustedGrid) -> list[str]:
     return [f"lengths do not agree with each other or with the readings: {listed(message, 5)}"] if message else []
 
 
-def _disagreeing(left_out: Sequence[LeftOut]) -> list[str]:
+def _disagreeing(by_view: Sequence[LeftOut]) -> list[str]:
     """Return a warning for the view that does not agree with the others, if the others fit without it."""
-    bound = 0.01 / max(len(left_out), 1)
-    odd = [left for left in left_out if left.p_value < bound and left.rest_p_value > bound]
+    bound = 0.01 / max(len(by_view), 1)
+    odd = [left for left in by_view if left.p_value < bound and left.rest_p_value > bound]
     return [
         f"view '{left.view}' does not agree with the others, which fit without it: the sum of squares falls by "
         f"{left.chi2:.0f} for {left.dof} degrees of freedom (p = {left.p_value:.1g})"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 
 import numpy as np
 
@@ -26,6 +26,8 @@ ESTIMATED, REMOVE = "`noise: estimated`", "`outliers: remove`"
 """Settings that a warning recommends, if the job has them"""
 REPEATS = "`noise: {repeatability: estimated}`"
 """A setting that a warning recommends where the carrier returns to its places for each station"""
+_BEYOND = 1e6
+"""Tests from here on differ by chance: readings that are far off, or that nothing predicts"""
 _NAMED = 5
 """Outliers that a warning names, at most"""
 
@@ -196,10 +198,26 @@ def _of_return(cures: Collection[str]) -> str:
     )
 
 
-def beyond_bound(names: Sequence[str], critical: float, cure: str = f"{REMOVE} leaves them out") -> str:
-    """Return the warning that names the readings beyond the outlier bound; `names` has the worst first."""
-    count = "1 reading exceeds" if len(names) == 1 else f"{len(names)} readings exceed"
-    return f"{count} the outlier bound |w| = {critical:.2f}: {listed(names, _NAMED)}" + (f"; {cure}" if cure else "")
+def beyond_bound(names: Sequence[str], critical: float, cure: str = REMOVE) -> str:
+    """Return the warning that names the readings beyond the outlier bound; `names` has the worst first.
+
+    `cure` is the setting of the job that leaves them out, if it may be recommended.
+    """
+    count, them = ("1 reading exceeds", "it") if len(names) == 1 else (f"{len(names)} readings exceed", "them")
+    named = f"{count} the outlier bound |w| = {critical:.2f}: {listed(names, _NAMED)}"
+    return f"{named}; {cure} leaves {them} out" if cure else named
+
+
+def left_out(names: Sequence[str], noun: str = "reading") -> list[str]:
+    """Return a warning that names the readings left out as wrong, the worst first; an empty list without any."""
+    count = f"1 {noun} is" if len(names) == 1 else f"{len(names)} {noun}s are"
+    return [f"{count} left out as wrong: {listed(names)} (table rejected)"] if names else []
+
+
+def with_tests(names: Iterable[str], tests: Iterable[float]) -> list[str]:
+    """Return the names of readings with their |w|, the worst first."""
+    worst = sorted(zip(tests, names, strict=True), reverse=True)
+    return [f"{name} (w {f'= {test:.1f}' if test < _BEYOND else f'> {_BEYOND:g}'})" for test, name in worst]
 
 
 def reliability(

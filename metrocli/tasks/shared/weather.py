@@ -14,6 +14,7 @@ from metrocli.frozen import dataclass
 from metrocli.table import Table
 from metrocli.tasks.job import Job
 from metrocli.units import DIMENSIONS, Unit, suffixes
+from metrocli.words import in_a_row
 
 
 @dataclass(frozen=True)
@@ -58,18 +59,24 @@ class Odd:
 
 
 def odd_weather(table: Table) -> Iterator[Odd]:
-    """Yield the columns of weather in another unit: in the rows of one source or of one size, or as a whole."""
+    """Yield the columns of weather in another unit: in the rows of some sources or of one size, or as a whole."""
     for name, sort in SORTS.items():
         if name not in table or not len(table):
             continue
-        values, found = table.numbers(name), list[Odd]()
+        values, every = table.numbers(name), np.ones(len(table), dtype=bool)
+        found = dict[Unit, tuple[list[str], Mask]]()
         for where, rows in parts(table, np.abs(values)):
-            odd = _odd(table, name, rows, f" {where}", float(np.median(values[~rows])), (sort.alike, sort.near))
-            found += [] if odd is None else [odd]
-        if not found:
-            odd = _odd(table, name, np.ones(len(table), dtype=bool), "", sort.usual, (sort.within, sort.within / 2))
-            found += [] if odd is None else [odd]
-        yield from found
+            others = float(np.median(values[~rows]))
+            unit = _meant(table, name, values[rows], others, (sort.alike, sort.near))
+            named, covered = found.get(unit, ([], ~every)) if unit else ([], every)
+            # rows of one size are often those of the sources before
+            if unit and (rows & ~covered).any():
+                found[unit] = [*named, where], covered | rows
+        whole = None if found else _meant(table, name, values, sort.usual, (sort.within, sort.within / 2))
+        if whole is not None:
+            found[whole] = [], every
+        for unit, (named, rows) in found.items():
+            yield _odd(table, name, rows, in_a_row(named), unit)
 
 
 def in_another_unit(table: Table, name: str, value: float) -> str:
@@ -86,30 +93,23 @@ def remarks(table: Table) -> Iterator[str]:
 
 
 def other_weather(job: Job[Any, Any], fits: bool = False) -> Iterator[tuple[Mistake, Job[Any, Any]]]:
-    """Yield the weather of one source that is in another unit, with the job that is right then.
-
-    That of all is a common scale of lengths, which they do not contradict.
-    """
+    """Yield the weather that is in another unit, of some sources or of all, with the job that is right then."""
     if job.settings.environment is None:
         return
     tables = [(each.name, getattr(job.files, each.name)) for each in fields(job.files)]
     for key, table in tables:
         for odd in odd_weather(table) if isinstance(table, Table) else ():
-            if not odd.rows.all():
-                words, write = f"{odd.where} is in {odd.unit}", f"{odd.where} in the unit of the heading"
-                right = replace(table, columns={**table.columns, odd.column: odd.values})
-                mistake = Mistake(key, words, write, file=table.file, sort=ROWS)
-                yield mistake, replace(job, files=replace(job.files, **{key: right}))
+            words, write = f"{odd.where} is in {odd.unit}", f"{odd.where} in the unit of the heading"
+            right = replace(table, columns={**table.columns, odd.column: odd.values})
+            mistake = Mistake(key, words, write, file=table.file, sort=ROWS)
+            yield mistake, replace(job, files=replace(job.files, **{key: right}))
 
 
-def _odd(table: Table, name: str, rows: Mask, where: str, others: float, limits: tuple[float, float]) -> Odd | None:
+def _odd(table: Table, name: str, rows: Mask, where: str, unit: Unit) -> Odd:
     values = table.numbers(name)
-    unit = _meant(table, name, values[rows], others, limits)
-    if unit is None:
-        return None
     right = np.where(rows, unit.array_inside(_as_written(table, name, values)), values)
     size = _both(table, name, float(np.median(values[rows])), unit)
-    return Odd(name, f"{_heading(table, name)}{where}", rows, right, unit.symbol, size)
+    return Odd(name, f"{_heading(table, name)} {where}".rstrip(), rows, right, unit.symbol, size)
 
 
 def _meant(table: Table, name: str, values: Array, others: float, limits: tuple[float, float]) -> Unit | None:

@@ -118,3 +118,13 @@ def test_errors_of_the_instrument_are_stated_in_their_usual_sizes(tmp_path: Path
     least = 100 * table.numbers("worth").min()
     (line,) = (text for text in said.splitlines() if text.startswith("a further station"))
     assert line.endswith(f"mm: instrument {two_digits(least)} % of the largest usual errors")
+
+
+def test_errors_and_their_usual_sizes_have_one_unit(tmp_path: Path, metrocli: Metrocli) -> None:
+    """The errors stood in urad beside usual sizes in arcsec."""
+    candidates(tmp_path, metrocli, f"{REGION}, aim: instrument")
+    rows = [line.split(",") for line in (tmp_path / "plan" / "effects.csv").read_text().splitlines()[1:]]
+    sized = {row[0]: (float(row[2]), row[3]) for row in rows if row[4].endswith(f" {row[3]}")}
+    assert {row[0] for row in rows} == set(sized)
+    std, unit = sized["tracker-vertical-index.angle"]
+    assert unit == "arcsec" and std > 0.1

@@ -9,6 +9,7 @@ import pytest
 
 from benchmarks.halves import turned
 from metrocli.arrays import Array
+from metrocli.errors import NotConvergedError
 from metrocli.result import Result
 from metrocli.table import Table
 from metrocli.tasks.calibrate_camera import task as calibrate_camera
@@ -33,13 +34,17 @@ def seen_from(rng: np.random.Generator, places: Array) -> tuple[Array, Array]:
     return shown, uv[shown] + rng.normal(0, NOISE, (len(shown), 2))
 
 
-def calibrated(seed: int, rough: float) -> Result:
-    """Calibrate by 15 images of 90 targets; each coordinate of the list is off by `rough` mm (standard deviation)."""
+def calibrated(seed: int, rough: float, mixed: str = "") -> Result:
+    """Calibrate by 15 images of 90 targets; each coordinate of the list is off by `rough` mm (standard deviation).
+
+    The names of the targets are `mixed` in one image.
+    """
     rng = np.random.default_rng(seed)
     places = rng.uniform(-1, 1, (90, 3)) * DEPTH
     shown, uv = zip(*(seen_from(rng, places) for _ in range(15)), strict=True)
     target = np.concatenate(shown)
     image = np.repeat([f"i{number:02d}" for number in range(15)], [len(one) for one in shown])
+    target[image == mixed] = rng.permutation(target[image == mixed])
     u, v = np.concatenate(uv).T
     names = np.array([f"T{number:02d}" for number in range(90)])
     x, y, z = (places + rng.normal(0, rough, places.shape)).T
@@ -69,3 +74,8 @@ def test_a_start_that_failed_is_doubtful_though_the_noise_is_estimated() -> None
     result = calibrated(121, 60.0)
     assert result.statistics["sigma0"] > 1000 * NOISE
     assert any("lens and poses were not found" in text for text in result.doubts)
+
+
+def test_an_image_with_names_of_other_targets_is_named() -> None:
+    with pytest.raises(NotConvergedError, match="the points of i03 do not fit those of the other images"):
+        calibrated(8, 1.0, mixed="i03")

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -13,7 +15,7 @@ from places import SHARED
 from simulated import machine as sim
 from simulated import machine_lengths as lengths
 
-from metrocli.errors import InputError, UndeterminedError
+from metrocli.errors import InputError, NotConvergedError, UndeterminedError
 from metrocli.project.inputs import read_inputs
 from metrocli.project.job import load
 from metrocli.result import Result
@@ -30,6 +32,8 @@ from metrocli.tasks.calibrate_machine.tables import tables_of
 from metrocli.tasks.calibrate_machine.volume import ToolErrors, predict
 from metrocli.tasks.shared.lists import listed_places
 from metrocli.tasks.shared.noise import DECLARED
+
+Metrocli = Callable[..., Any]
 
 CASES = SHARED / "cases" / "machine-lengths"
 FOUND = sorted(CASES.iterdir()) if CASES.exists() else []
@@ -98,6 +102,25 @@ def test_gross_lengths_are_no_repeatability() -> None:
     result = run(lengths.settings(noise=noise, outliers="remove"), spoilt)
     assert set(result.tables["rejected"].texts("point")) == {"P10 at S1", "P60 at S1", "P60 at S3"}
     assert result.statistics["repeatability"] == pytest.approx(2e-3, rel=0.1)
+    (left_out,) = (line for line in result.warnings if "left out as wrong" in line)
+    assert left_out.startswith("3 readings are") and "point P60 at S3 (w = " in left_out
+
+
+@pytest.mark.parametrize("repeatability", [2e-3, "estimated"])
+def test_lengths_off_by_metres_are_named_and_left_out(repeatability: float | str) -> None:
+    """Least squares carries a station away with them: the refusal named its place as what is not determined."""
+    rng = np.random.default_rng(38)
+    table = lengths.measured(sim.random_machine(rng), rng, 120, repeatability=2e-3)
+    length = table.numbers("length").copy()
+    length[[10, 300]] += np.array([3000.0, -3000.0])
+    spoilt = replace(table, columns={**table.columns, "length": length})
+    noise = replace(lengths.NOISE, repeatability=repeatability)
+    with pytest.raises(NotConvergedError, match=r"without point P60 at S3, point P10 at S1 the others have a solution"):
+        run(lengths.settings(noise=noise), spoilt)
+    result = run(lengths.settings(noise=noise, outliers="remove"), spoilt)
+    (line,) = (line for line in result.warnings if "left out as wrong" in line)
+    assert line.startswith("2 readings are left out as wrong: point P60 at S3 (w > 1e+06)")
+    assert result.statistics["sigma0"] == pytest.approx(1, abs=0.15)
 
 
 def test_no_length_is_gross_where_few_are_redundant() -> None:
@@ -333,3 +356,15 @@ def test_stations_are_those_of_a_network() -> None:
     found = Files(stations=network, lengths=read).listed_stations
     assert found is not None and found.texts("station") == ["L2", "L1"]
     assert found.stacked("xyz").tolist() == [[1.0, 2.0, 3.0], [7.0, 8.0, 9.0]]
+
+
+@pytest.mark.parametrize("key", ["correlated", "variance_groups"])
+def test_places_by_the_name_of_their_column_are_named(key: str, tmp_path: Path, metrocli: Metrocli) -> None:
+    """All kinds of places were listed, also those that the readings have not, and none as the one that is meant."""
+    entry = {
+        "correlated": "{covariate: t_s, by: station, length: 0.25, std: 1 um}",
+        "variance_groups": "{by: station, only: S1, ratio: 2}",
+    }
+    metrocli("init", tmp_path / "p", "--sample", "machine-lengths")
+    ran = metrocli("check", tmp_path / "p" / "jobs" / "lengths.yaml", "--set", f"{key}=[{entry[key]}]")
+    assert ran.code == 3 and "write by: tracer, which has the names in the column 'station'" in ran.err

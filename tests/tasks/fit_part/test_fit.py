@@ -231,6 +231,17 @@ def test_chips_and_flash_are_left_out_and_named(tmp_path: Path, metrocli: Metroc
     assert metrocli("fit-part", job, "--force").code == 4
 
 
+def test_a_point_off_by_a_metre_is_no_chip(tmp_path: Path, metrocli: Metrocli) -> None:
+    """It was said that a metre of material is missing, and that the surface stays unclean there."""
+    one = casting(17)
+    points = one.points.copy()
+    points[3] += 1000 * (points.mean(axis=0) - points[3]) / np.linalg.norm(points.mean(axis=0) - points[3])
+    job = replace(one, points=points).write(tmp_path)
+    ran = metrocli("fit-part", job, "--force")
+    assert ran.code == 0 and "1 point is left out as wrong: P3, up to " in ran.err
+    assert "unclean" not in ran.err and "chip:" not in ran.err
+
+
 def test_clean_castings_lose_no_point(tmp_path: Path, metrocli: Metrocli) -> None:
     assert not len(fitted(casting(21).write(tmp_path), metrocli).tables["rejected"])
 

@@ -169,6 +169,37 @@ def test_two_gross_distances_of_four_are_left_out() -> None:
     assert result.statistics["rejected"] == 2 and not doubts_of(result, ())
 
 
+def test_three_gross_distances_of_four_are_named() -> None:
+    """At most half were left out, though the angles of eight poses check each distance: the good one was named."""
+    three = {"P0", "P1", "P2"}
+    wrong = _with_gross_distances([4000.0, 4500.0, 5000.0, 0.0], seed=4)
+    with pytest.raises(NotConvergedError, match="without the distances of P2, P1 and P0 the rest fits"):
+        locate_launch_unit.run(locate_launch_unit.TASK.job(settings(), wrong.table()))
+    job = locate_launch_unit.TASK.job(replace(settings(), outliers="remove"), wrong.table())
+    result = locate_launch_unit.run(job)
+    assert set(result.tables["outliers"].texts("pose")) == three
+    assert result.statistics["rejected"] == 3 and not doubts_of(result, ())
+    wrong = _with_gross_distances([4000.0, 4500.0, 5000.0, 0.0], seed=7)
+    absurd = locate_launch_unit.run(locate_launch_unit.TASK.job(settings(), wrong.table()))
+    assert set(absurd.tables["outliers"].texts("pose")) == three and doubts_of(absurd, ())
+
+
+@pytest.mark.parametrize("outliers", ["report", "remove"])
+def test_distances_none_of_which_fits_the_angles_are_not_decided(outliers: str) -> None:
+    """The place was metres off between angles and distances, and two of the four were named as wrong."""
+    wrong = _with_gross_distances([4000.0, 3000.0, 5000.0, 2500.0], seed=3)
+    with pytest.raises(NotConvergedError, match="no distance fits: the readings do not decide"):
+        locate_launch_unit.run(locate_launch_unit.TASK.job(replace(settings(), outliers=outliers), wrong.table()))
+
+
+def _with_gross_distances(off: list[float], seed: int) -> Poses:
+    """Return eight poses, of which as many have a distance as `off` has errors of one."""
+    given = anywhere(8, seed, distances=True).noisy(np.random.default_rng(seed))
+    assert given.distance is not None
+    errors = np.pad(np.array(off), (0, 8 - len(off)), constant_values=np.nan)
+    return replace(given, distance=given.distance + errors)
+
+
 @pytest.mark.parametrize(("outliers", "advised"), [("report", True), ("remove", False)])
 def test_a_job_that_leaves_outliers_out_is_not_advised_to(outliers: str, advised: bool) -> None:
     given = anywhere(8, 17).noisy(np.random.default_rng(17))
@@ -184,11 +215,9 @@ def test_distances_in_metres_end_in_few_steps(seed: int) -> None:
     """They and the angles contradict each other, and the place descends along a beam: more steps decide nothing."""
     given = anywhere(8, seed, distances=True).noisy(np.random.default_rng(seed))
     assert given.distance is not None
-    with allowance(900):
-        result = locate_launch_unit.run(
-            locate_launch_unit.TASK.job(settings(), replace(given, distance=given.distance / 1000).table())
-        )
-    assert doubts_of(result, ())
+    job = locate_launch_unit.TASK.job(settings(), replace(given, distance=given.distance / 1000).table())
+    with allowance(900), pytest.raises(NotConvergedError, match="check both and their units"):
+        locate_launch_unit.run(job)
 
 
 def test_repeated_rows_are_told() -> None:

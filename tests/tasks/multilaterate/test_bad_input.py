@@ -194,7 +194,7 @@ def test_one_gross_error_is_not_taken_for_a_shuffle(folder: Path, metrocli: Metr
 
     rejected: Table = hdf5.read(folder / "o.h5")[0].tables["rejected"]
     assert (rejected.texts("point"), rejected.texts("tracer")) == (["P0"], ["T2"])
-    assert "1 lengths are left out as wrong: P0/T2" in ran.err
+    assert "1 length is left out as wrong: P0/T2" in ran.err
 
 
 def test_several_gross_errors_of_one_tracer_are_named(folder: Path, metrocli: Metrocli) -> None:

@@ -396,6 +396,14 @@ def test_what_has_slopes_and_curvature_of_zero_still_depends_on_its_inputs(tmp_p
     assert "depends on no input" in notes["none"]
 
 
+def test_a_reverse_budget_has_sizes_in_the_unit_that_suits_them(tmp_path: Path) -> None:
+    """It was `target U = 3e-05 mm`."""
+    quantities = {"a": {"value": "50 mm", "std": "25 nm"}}
+    job = {"quantities": quantities, "measurands": {"y": {"model": "a", "unit": "mm"}}, "target": {"y": "30 nm"}}
+    notes = [line.strip() for line in carry_out(tmp_path, job).result.notes]
+    assert "target U = 30 nm: not reached" in notes and not any("e-05 mm" in line for line in notes)
+
+
 def test_equal_readings_are_refused_with_the_entry_of_the_resolution(tmp_path: Path, metrocli: Metrocli) -> None:
     (tmp_path / "l.csv").write_text("l_mm\n" + 6 * "7.302\n")
     path = write(tmp_path, {"quantities": {"l": {"readings": "l.csv"}}, "measurands": {"y": {"model": "l", "unit": "mm"}}})  # fmt: skip

@@ -231,6 +231,7 @@ def test_outliers_are_named_and_left_out() -> None:
     out = removed.tables["rejected"]
     gone = list(zip(out.texts("view"), *(out.numbers(k).astype(int).tolist() for k in "ijk"), strict=True))
     assert sorted(gone) == sorted(wanted)
+    assert any(line.startswith("3 readings are left out as wrong: ") for line in removed.warnings)
     assert removed.statistics["sigma0"] == pytest.approx(1.0, abs=0.15)
 
 

@@ -62,6 +62,24 @@ def test_a_run_names_them_too(tmp_path: Path, metrocli: Metrocli) -> None:
     assert ran.code == 3 and "293.45 K are 20.3 degC: look at the unit of temp_degC" in ran.err
 
 
+def test_two_tracers_are_one_warning(tmp_path: Path, metrocli: Metrocli) -> None:
+    """Each was named, and then their rows again."""
+    ran = metrocli("multilaterate", hall(metrocli, tmp_path / "p", "temp", FAHRENHEIT, "LT2 LT3"))
+    assert "temp_degC of tracer LT2 and of tracer LT3 seems to be in degF: 68.54" in ran.err
+    assert ran.err.count("seems to be in") == 1
+
+
+def test_the_air_of_a_machine_is_in_another_unit(tmp_path: Path, metrocli: Metrocli) -> None:
+    """All lengths are too short by 46 um/m, which its axes take and its tools do not: other tools were advised."""
+    folder = tmp_path / "p"
+    sample(metrocli, folder, "machine-lengths", "data/lengths.csv", lambda _: FAHRENHEIT(20.3))
+    file, job = folder / "data" / "lengths.csv", folder / "jobs" / "lengths.yaml"
+    file.write_text(file.read_text().replace("NEW", "temp_degC", 1))
+    job.write_text(job.read_text() + "environment: {pressure: 1011 hPa, humidity: 50 percent}\n")
+    ran = metrocli("diagnose", job, "--quick")
+    assert ran.code == 0 and "lengths: temp_degC is in degF" in ran.out and "tool" not in ran.out, ran.out + ran.err
+
+
 def test_a_number_in_the_internal_unit_is_not_explained_by_itself(tmp_path: Path, metrocli: Metrocli) -> None:
     job = hall(metrocli, tmp_path / "p", "pressure", lambda v: v)
     file = tmp_path / "p" / "data" / "lengths.csv"

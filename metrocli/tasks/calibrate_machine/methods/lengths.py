@@ -115,7 +115,7 @@ def _places(seen: LengthsToTracers) -> Array:
     except InputError as error:
         nothing = [(fault.hint or "").startswith(NOTHING_FITS) for fault in error.faults]
         faults = [
-            replace(fault, message=f"{fault.message}\n       {fault.hint}", hint=None) if none else fault
+            replace(fault, message=f"{fault.message}; {fault.hint}", hint=None) if none else fault
             for fault, none in zip(error.faults, nothing, strict=True)
         ]
         raise InputError(faults) from error

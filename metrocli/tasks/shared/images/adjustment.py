@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
@@ -241,6 +242,13 @@ def must_converge(solution: Solution, noticed: Sequence[str] = ()) -> None:
         hint = _NO_START if solution.outcome is Outcome.NO_START and not noticed else ""
         hint += "".join(f"\n  noticed: {line}" for line in noticed)
         raise NotConvergedError(f"{solution.outcome.value} ({solution.iterations} steps){hint}", solution.misfit)
+
+
+def apart_from_others(group: Group, rest: AdjustedImages) -> list[str]:
+    """Return the images most of whose readings were left out of an adjustment, which `rest` is."""
+    wrong, fitting = Counter(rest.rejected.texts("image")), Counter(rest.group.observations.keys["image"])
+    images = dict.fromkeys(group.observations.keys["image"])
+    return [name for name in images if wrong[name] > fitting[name]]
 
 
 def _noise(residuals: Residuals, group: Group) -> float:

@@ -17,7 +17,15 @@ from metrocli.table import Table
 from metrocli.tasks.shared.images.adjustment import AdjustedImages
 from metrocli.tasks.shared.images.sightings import Sighted
 from metrocli.tasks.shared.joint_covariance import factors
-from metrocli.tasks.shared.statistics import Statistics, basic_statistics, beyond_bound, residual_table, with_noise
+from metrocli.tasks.shared.statistics import (
+    Statistics,
+    basic_statistics,
+    beyond_bound,
+    left_out,
+    residual_table,
+    with_noise,
+    with_tests,
+)
 from metrocli.uncertainty.predicted import POINTS_COVARIANCE
 
 _VIEW_SUSPECT = 2.5
@@ -121,7 +129,8 @@ def image_warnings(
     if views is not None:
         rms = views.numbers("rms") / _stated_ratios(adjusted.group, sighted.images)
         lines += suspect_images(sighted.images, rms, views.numbers("readings"))
-    return lines + suspect_readings(adjusted.suspects, adjusted.group)
+    gone = _named(adjusted.rejected)
+    return lines + left_out(gone) + suspect_readings(adjusted.suspects, adjusted.group)
 
 
 def _stated_ratios(group: Group, images: Sequence[str]) -> Array:
@@ -153,23 +162,22 @@ def suspect_readings(suspects: Suspects, group: Group) -> list[str]:
     """Return a warning that names the readings beyond the outlier bound, worst first; an empty list without any."""
     if not suspects.rows.size:
         return []
-    table = suspect_table(suspects, group)
-    rows = zip(table.texts("image"), table.texts("target"), table.numbers("w").tolist(), strict=True)
-    worst = [f"{image}/{target} (w = {w:.1f})" for image, target, w in rows]
-    return [beyond_bound(worst, suspects.critical)]
+    return [beyond_bound(_named(suspect_table(suspects, group)), suspects.critical)]
+
+
+def _named(chosen: Table) -> list[str]:
+    """Return the image points of a table with their tests, the worst first."""
+    pairs = zip(chosen.texts("image"), chosen.texts("target"), strict=True)
+    return with_tests([f"{image}/{target}" for image, target in pairs], chosen.numbers("w").tolist())
 
 
 def adjustment_notes(adjusted: AdjustedImages) -> list[str]:
-    """Return the notes of the report: the estimated noise and the number of rejected readings."""
+    """Return the notes of the report on the estimated noise."""
     lines = []
     if adjusted.noise is not None:
         lines.append(f"estimated noise of an image coordinate: {adjusted.noise:.3g} px; covariances are scaled by it")
     if adjusted.structured is not None:
         lines.append(adjusted.structured.note)
-    if len(adjusted.rejected):
-        lines.append(
-            f"{len(adjusted.rejected)} readings rejected as outliers (table 'rejected' lists them with their tests)"
-        )
     return lines
 
 
