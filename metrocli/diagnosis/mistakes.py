@@ -201,7 +201,11 @@ def _as_good(tried: list[tuple[float, Mistake, T]]) -> list[tuple[float, Mistake
     alike = [trial for trial in tried if trial[0] <= max(_AS_GOOD * best, _AS_GOOD / ABSURD)]
     near, far = _USUAL
     unusual = [not near <= trial[2].reach <= far for trial in alike]
-    order = sorted(zip(unusual, alike, strict=True), key=lambda t: (t[0], -t[1][1].shrinks, t[1][1].columns, t[1][0]))
+    # three digits: of solutions that differ by rounding the one that was tried first stays first
+    order = sorted(
+        zip(unusual, alike, strict=True),
+        key=lambda t: (t[0], -t[1][1].shrinks, t[1][1].columns, float(f"{t[1][0]:.3g}")),
+    )
     return [trial for _, trial in order]
 
 
