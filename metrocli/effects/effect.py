@@ -34,6 +34,7 @@ COLUMN = {"t": "t_s", "temp": "temp_degC", "distance": "distance_mm"} | {
 READ_BY = {
     "list of {point}": "a list that gives it with a standard deviation above zero",
     "heights of {point}": "height differences that read it",
+    "station in order": "stations without times",
 }
 """What a condition at a place needs that is no column, for messages"""
 MakeLink = Callable[[str, Mapping[str, str]], Link]
