@@ -30,13 +30,13 @@ _CENTRE = (0.02, 0.98)
 """Principal points beyond these shares of the image are not plausible, or in other units"""
 
 
-def files(lines: TextLines, wishes: ImportOptions) -> Imported:
+def files(lines: TextLines, options: ImportOptions) -> Imported:
     """Return camera.yaml, or a file for each of several cameras, and rig.yaml if their poses are stated.
 
     Raises InputError for what a file lacks, and for models that are not known here.
     """
     parts, rigs = dict[str, CameraPart](), None
-    for text in (lines, *wishes.others):
+    for text in (lines, *options.others):
         if is_rigs(text):
             rigs = text
             continue
@@ -44,7 +44,7 @@ def files(lines: TextLines, wishes: ImportOptions) -> Imported:
         if not read:
             expected = f"expected a camera of {', '.join(PROGRAMS)}"
             raise InputError([text.fault("this is no camera of another program", None, expected)])
-        if wishes.others and len(read) == 1:
+        if options.others and len(read) == 1:
             read = {Path(text.file).stem: next(iter(read.values()))}
         if twice := [name for name in read if name in parts]:
             raise InputError([text.fault(f"another file has the camera {twice[0]} too", None, "name files distinctly")])
@@ -53,7 +53,7 @@ def files(lines: TextLines, wishes: ImportOptions) -> Imported:
         raise InputError([lines.fault("this is where cameras are, but none of them", None, "give cameras.txt too")])
     if len(parts) == 1:
         return {"camera.yaml": _written(next(iter(parts.values())))}
-    placed = poses_of(parts, rigs, wishes.unit)
+    placed = poses_of(parts, rigs, options.unit)
     without = "; their poses to each other, if the files have them, are not taken over: give the unit by --unit"
     note = _ALONE.format("; rig.yaml has them with their poses" if placed else without)
     rig = {"rig.yaml": _rig(parts, placed)} if placed else {}

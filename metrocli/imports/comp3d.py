@@ -25,7 +25,7 @@ _READ = "codes 1 and 3 (distances), 4 (height differences), 5, 6, 7 and 8 (angle
 _CC, _MM = 10000.0, 1000.0
 
 
-def files(lines: TextLines, wishes: ImportOptions) -> Imported:
+def files(lines: TextLines, options: ImportOptions) -> Imported:
     """Return points.csv of a .cor, else readings.csv, stations.csv and heights.csv; raises InputError of all faults."""
     return _points(lines) if lines.file.lower().endswith(".cor") else _observations(lines)
 

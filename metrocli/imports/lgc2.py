@@ -229,7 +229,7 @@ def _rows(lines: TextLines) -> Iterator[tuple[int, list[str]]]:
             yield number, words
 
 
-def files(lines: TextLines, wishes: ImportOptions) -> Imported:
+def files(lines: TextLines, options: ImportOptions) -> Imported:
     """Return points.csv, stations.csv and readings.csv; raises InputError that lists all faults."""
     reader = _NetworkFile(lines)
     reader.read()

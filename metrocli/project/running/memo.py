@@ -96,7 +96,7 @@ def remember(
     # a package is more than the file that offers its effects: one that moved may be another
     packages = {package.file for step in steps for package in step.job.packages}
     sought = {path for step in steps for path in step.job.own.sought}
-    read = sought & steps[0].job.wishes.files.held.keys() if steps else sought
+    read = sought & steps[0].job.options.files.held.keys() if steps else sought
     # a nearer project file that came meanwhile would define other effects for the same job
     if any(path.exists() for path in sought - read):
         return
@@ -139,12 +139,12 @@ def _judged(
             return {}
         for entry in label.inputs:
             add(job.folder / entry.path, entry.sha256)
-        if job.wishes.part is not None and job.wishes.part.list is not None:
-            add(job.wishes.part.list.path, job.wishes.part.list.sha256)
+        if job.options.part is not None and job.options.part.list is not None:
+            add(job.options.part.list.path, job.options.part.list.sha256)
         if os.path.relpath(job.output, folder) in young:
             held = read_bytes(job.output, "a result file")
             add(job.output, held.sha256 if unsealed(held.data, str(job.output))[0] == label else "")
-    for path, file in steps[0].job.wishes.files.held.items():
+    for path, file in steps[0].job.options.files.held.items():
         add(path, file.bytes.sha256)
     return digests
 
