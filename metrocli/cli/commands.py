@@ -61,7 +61,7 @@ def _complete(command: click.Command) -> click.Command:
 
 
 def module_of(command: str) -> str:
-    """Return the module of a command that is no kind of job."""
+    """Return the module of a command that is not a kind of job."""
     return f"metrocli.cli.{PACKAGES.get(command, '')}{MODULES.get(command, command)}"
 
 

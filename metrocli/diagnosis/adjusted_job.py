@@ -43,7 +43,7 @@ class Delivered:
     reported: Mapping[str, Array] = field(default_factory=dict)
     """Matrices (columns, members, members) by which values of a block become those that are reported, if others are"""
     moved: Callable[[Effect, Mapping[str, str]], Array | None] = lambda effect, where: None
-    """How an effect of unit size really moves what is measured (all members, columns, parameters): that is no error"""
+    """Move of what is measured itself (all members, columns, parameters) by a unit effect; not an error of it"""
 
     @property
     def blocks(self) -> tuple[str, ...]:

@@ -170,7 +170,7 @@ def _sort_in(name: str, item: h5py.Dataset, tables: _Held, arrays: _Held) -> Non
         tables[name] = replace(table, columns=columns)
     else:
         if item.ndim == 0 or item.dtype.kind not in "biuf":
-            raise ValueError(f"{name} is no array of numbers")
+            raise ValueError(f"{name} is not an array of numbers")
         arrays[name] = item[()]
 
 

@@ -94,7 +94,7 @@ def _pose(lines: TextLines, name: str, stated: Sequence[str]) -> Array:
     values = np.array([float(number) for number in stated])
     turn = values[:9].reshape(3, 3)
     if np.abs(turn.T @ turn - np.eye(3)).max() > _TURNED or np.linalg.det(turn) < 0:
-        raise InputError([lines.fault(f"the pose of the camera {name} is no rotation", None, "expected R' R = 1")])
+        raise InputError([lines.fault(f"the pose of the camera {name} is not a rotation", None, "expected R' R = 1")])
     return poses.pose(nearest_rotation(turn), values[9:])
 
 

@@ -43,7 +43,7 @@ def files(lines: TextLines, options: ImportOptions) -> Imported:
         read = _cameras(text)
         if not read:
             expected = f"expected a camera of {', '.join(PROGRAMS)}"
-            raise InputError([text.fault("this is no camera of another program", None, expected)])
+            raise InputError([text.fault("this is not a camera of another program", None, expected)])
         if options.others and len(read) == 1:
             read = {Path(text.file).stem: next(iter(read.values()))}
         if twice := [name for name in read if name in parts]:
@@ -61,7 +61,7 @@ def files(lines: TextLines, options: ImportOptions) -> Imported:
 
 
 def as_yaml(lines: TextLines) -> str | None:
-    """Return the text of camera.yaml or rig.yaml; None for a file that is no camera of another program.
+    """Return the text of camera.yaml or rig.yaml; None for a file that is not a camera of another program.
 
     Raises InputError as `files` does, and for several cameras whose poses it does not state.
     """
@@ -76,7 +76,7 @@ def as_yaml(lines: TextLines) -> str | None:
 
 
 def _cameras(lines: TextLines) -> dict[str, CameraPart]:
-    """Return the cameras of a file by their names; none if it is no camera of another program."""
+    """Return the cameras of a file by their names; none if it is not a camera of another program."""
     # searching a list would take minutes where thousands of empty lines follow each other
     text = re.sub(r"\n(?:[ \t]*\n){3,}", "\n\n", "\n".join(line.rstrip() for line in lines.lines))
     for program, sign, reader in READERS:
@@ -94,7 +94,7 @@ def _cameras(lines: TextLines) -> dict[str, CameraPart]:
 
 
 def program_of(text: str) -> str | None:
-    """Return the program whose camera a text is, by what only its files have; None if it is no camera."""
+    """Return the program whose camera a text is, by what only its files have; None if it is not a camera."""
     return next((program for program, sign, _ in READERS if re.search(sign, text, re.MULTILINE)), None)
 
 
@@ -206,9 +206,9 @@ def _must_be_plausible(lines: TextLines, camera: ReadCamera) -> None:
         extent = camera.size[0] if name == "cx" else camera.size[1]
         number = float(value)
         if name in ("f", "fx", "fy") and not _FIELD_OF_VIEW * max(camera.size) < number:
-            faults.append(lines.fault(f"{name} = {value} is no focal length in pixels of this image"))
+            faults.append(lines.fault(f"{name} = {value} is not a focal length in pixels of this image"))
         if name in ("cx", "cy") and not _CENTRE[0] * extent < number < _CENTRE[1] * extent:
-            faults.append(lines.fault(f"{name} = {value} is no principal point in pixels of this image"))
+            faults.append(lines.fault(f"{name} = {value} is not a principal point in pixels of this image"))
     if faults:
         width, height = camera.size
         hint = f"expected pixels: the file states an image of {width} x {height} px"

@@ -139,7 +139,7 @@ def _input(mapping: Mapping) -> Columns:
 
 
 def _table(spec: object) -> Columns | None:
-    """Return the columns that a specification of a file has; None if it is no table."""
+    """Return the columns that a specification of a file has; None if it is not a table."""
     if isinstance(spec, TableFile):
         columns: Columns = spec.columns
         return columns

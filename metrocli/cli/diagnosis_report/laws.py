@@ -41,7 +41,7 @@ def law_lines(diagnosis: Diagnosis, extended: Law | None) -> Iterator[str]:
         others = [f"{term.form.text} ({_place(term)} {term.spot.component}".rstrip() + ")" for term in law.as_likely]
         more = f" or {len(others) - _LISTED} others" if len(others) > _LISTED else ""
         yield f"These readings hardly distinguish it from {'; '.join(others[:_LISTED])}{more}."
-    yield f"A law is no cause: what acts like this at this place is to be found.{_where(law, extended)}"
+    yield f"A law is not a cause: find what acts like this at this place.{_where(law, extended)}"
 
 
 def _where(law: Law, extended: Law | None) -> str:

@@ -66,7 +66,7 @@ def _could_be_the_same(folder: str, name: str, files: dict[str, list[Any]]) -> b
 
 
 def _text(path: str) -> str:
-    """Return the text of a file, empty if it cannot be read, is no plain file or too large for a memo."""
+    """Return the text of a file, empty if it cannot be read, is not a plain file or too large for a memo."""
     import stat
 
     try:
@@ -86,7 +86,7 @@ def remember(
 
     `labels` are those of the results by the names of the steps, as they were judged or written. Nothing is remembered
     if a file is too young and has not the bytes that were judged, or if a project file nearer to a job appeared or
-    went meanwhile. A folder that cannot be written is no fault: the next run looks again.
+    went meanwhile. A folder that cannot be written is not a fault: the next run looks again.
     """
     from contextlib import suppress
 
@@ -155,7 +155,7 @@ def _settled(seen: Sequence[int], begun_ns: int) -> bool:
 
 
 def _write(project_file: str, jobs: list[list[str]], files: dict[str, list[Any]], begun_ns: int) -> None:
-    """Write what is remembered, of young files no times; a folder that cannot be written is no fault."""
+    """Write what is remembered, of young files no times; a folder that cannot be written is not a fault."""
     import json
     from contextlib import suppress
     from pathlib import Path

@@ -129,6 +129,6 @@ def scatter_of(deviation: Array, surface: Index, count: int, sigma: Array) -> Ar
     of_surface = np.where(
         np.bincount(surface, minlength=count) >= _LEAST_POINTS, _SIGMA_PER_MAD * medians_of(size, surface, count), 0.0
     )
-    # a nanometre: rounding of exact points is no outlier
+    # a nanometre: rounding of exact points is not an outlier
     least = np.maximum(sigma, 1e-6)
     return np.asarray(np.maximum(np.maximum(np.nan_to_num(of_surface)[surface], of_all), least))

@@ -51,7 +51,7 @@ def _address_in(path: str) -> str:
         with open(path, encoding="utf-8") as file:
             return str(json.load(file)["address"])
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InputError(f"--scheduler {path}: this is no scheduler file of Dask ({error})") from error
+        raise InputError(f"--scheduler {path}: this is not a scheduler file of Dask ({error})") from error
 
 
 def _silence() -> None:

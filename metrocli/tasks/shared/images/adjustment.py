@@ -180,7 +180,7 @@ def adjust_images(
 
 
 def _without_lost_views(blocks: Mapping[str, Block], group: Group) -> Mapping[str, Block]:
-    """Return the blocks; the pose of an image that lost all readings is no unknown: nothing else depends on it."""
+    """Return the blocks; the pose of an image that lost all readings is not an unknown: nothing else depends on it."""
     view = blocks.get("view")
     if view is None:
         return blocks
