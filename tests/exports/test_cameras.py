@@ -293,7 +293,7 @@ def test_the_nearest_model_differs_as_stated(program: str, name: str, within: fl
 def test_what_no_model_holds_is_refused_with_its_difference() -> None:
     with pytest.raises(InputError, match=r"no model of kalibr is within 0.05 px of this lens; the nearest is \w+: rms"):
         written("kalibr", "rational")
-    with pytest.raises(InputError, match="no camera"):
+    with pytest.raises(InputError, match="not a camera"):
         export("ros", Result("multilaterate", "", (), np.zeros((0, 0)), {}))
 
 

@@ -120,7 +120,7 @@ def test_poses_with_faults_are_refused() -> None:
             files(lines("their.txt", text), ImportOptions(others=others, unit="mm" if others else ""))
         return str(caught.value.faults)
 
-    assert "no rotation" in faults(chain(lambda matrix: in_rows(matrix * [1, 1, -1, 1])))
+    assert "not a rotation" in faults(chain(lambda matrix: in_rows(matrix * [1, 1, -1, 1])))
     assert "T_cn_cnm1 of cam1 has 12 numbers" in faults(chain(lambda matrix: in_rows(matrix[:3])))
     assert "the file has no pose of the camera cam2" in faults(chain(in_rows).rpartition("  T_cn_cnm1")[0])
     rigs = lines("rigs.txt", "1 2 CAMERA 1 CAMERA 7 1 1 0 0 0 5 0 0\n")

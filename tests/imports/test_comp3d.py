@@ -69,4 +69,4 @@ def test_what_is_not_read_is_named(tmp_path: Path, metrocli: Metrocli) -> None:
         assert words in ran.err
     (tmp_path / "net.cor").write_text("4 A 1 2 3 0 0 0\n")
     ran = metrocli("import", tmp_path / "net.cor", "--from", "comp3d")
-    assert ran.code == 3 and "no point in space" in ran.err
+    assert ran.code == 3 and "not a point in space" in ran.err

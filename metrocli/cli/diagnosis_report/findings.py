@@ -201,8 +201,8 @@ def _processes(diagnosis: Diagnosis) -> Iterator[str]:
         if error.instead_of:
             yield f"  Without it these would be named: {listed([str(each) for each in error.instead_of], _SHOWN)}."
     if diagnosis.correlated_errors:
-        counted = "the named effects and detectable sizes hold" if diagnosis.findings else "detectable sizes hold"
-        yield f"  Chance explains it as well as any cause. It counts as noise: {counted} beside it."
+        allowing = "the named effects and the detectable sizes" if diagnosis.findings else "the detectable sizes"
+        yield f"  Chance explains it as well as any cause. It counts as noise: {allowing} allow for it."
         if diagnosis.left is None:
             yield f"  {_included(diagnosis)}"
 
