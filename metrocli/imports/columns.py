@@ -200,7 +200,7 @@ def _place(source: ColumnSource, names: Sequence[str]) -> int | None:
 
 
 def _misfits(mapping: Mapping, columns: dict[str, Column], names: Sequence[str], node: Node) -> Iterator[Fault]:
-    """Yield what the mapping has that the input or the file has not, and what the input needs besides."""
+    """Yield what the mapping has that the input or the file lacks, and what the input needs besides."""
     for (key, _), (name, placed) in zip(node.entries, mapping.columns.items(), strict=True):
         if name in columns:
             yield from _faults_of(columns[name], _source(placed), placed.node, names)

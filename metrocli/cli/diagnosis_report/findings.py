@@ -104,12 +104,12 @@ def _of_part(part: MemberSubset) -> str:
 
 
 def _extension(diagnosis: Diagnosis, law: Law | None) -> str:
-    """Return what an extended job with a law, or without, has that the job has not."""
+    """Return what an extended job with a law, or without, has that the job lacks."""
     named = diagnosis.scatters or any(finding.confirmed for finding in diagnosis.findings)
     added = [*(["the named effects"] if named else []), *(["the law"] if law is not None else [])]
     shared = _shared(diagnosis)
     if not added and not shared:
-        return "the job with what is said above to be right, and diagnose it again"
+        return "the job corrected as stated above, and diagnose it again"
     if not added:
         remains = proposed_noise(diagnosis) or proposed_correlated(diagnosis)
         what = "include the structure left" if diagnosis.left is not None else "include the smooth error"

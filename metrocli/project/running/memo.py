@@ -85,7 +85,7 @@ def remember(
     """Remember that all results are up to date, as of `begun_ns`, when the project was read.
 
     `labels` are those of the results by the names of the steps, as they were judged or written. Nothing is remembered
-    if a file is too young and has not the bytes that were judged, or if a project file nearer to a job appeared or
+    if a file is too young and lacks the bytes that were judged, or if a project file nearer to a job appeared or
     went meanwhile. A folder that cannot be written is not a fault: the next run looks again.
     """
     from contextlib import suppress
