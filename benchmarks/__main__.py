@@ -1,6 +1,6 @@
 """python -m benchmarks [NAME ...]: run the benchmarks of this folder one after the other, each in its own process.
 
-What follows a single name and is no name itself is given to it: python -m benchmarks hidden_effects multilaterate 200
+What follows a single name, and is not a name, is given to it: python -m benchmarks hidden_effects multilaterate 200
 """
 
 from __future__ import annotations

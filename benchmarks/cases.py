@@ -106,7 +106,7 @@ def _place(name: str, where: dict[str, Any]) -> frozenset[tuple[str, str]]:
 
 
 def _spot(alternative: Candidate) -> tuple[str, frozenset[tuple[str, str]]]:
-    """Cause and place, with the view from which a ball moved; time or temperature is no place."""
+    """Cause and place, with the view from which a ball moved; time or temperature is not a place."""
     where = (
         alternative.where | dict(alternative.named) if alternative.effect.name == "moved-ball" else alternative.where
     )

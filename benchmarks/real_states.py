@@ -154,7 +154,7 @@ def of_set(one: BoardSet, folder: Path) -> Iterator[Case]:
 
 
 def _candidate(data: Mapping[str, Any], cause: Cause) -> Mapping[str, Any] | None:
-    """Return what a diagnosis states of a cause where it was planted, None if it is no candidate there."""
+    """Return what a diagnosis states of a cause where it was planted, None if it is not a candidate there."""
     rows = [row for row in data["candidates"] if row["name"] == cause.name]
     if cause.by:
         rows = [row for row in rows if row["where"].get("by") == cause.by]

@@ -167,7 +167,7 @@ def _file(name: str, one: Path, two: Path, found: Findings) -> None:
 
 
 def _data(path: Path) -> list[bytes]:
-    """Return the lines of a file that are no comments."""
+    """Return the lines of a file that are not comments."""
     return [line for line in path.read_bytes().splitlines() if not line.startswith((b"#", b";", b"//"))]
 
 

@@ -25,7 +25,7 @@ _ROWS = 3
 """Fewest rows of a block"""
 _CHANCE = 1e-6
 _MOST_ALIKE = 0.5
-"""If more pairs of rows have equal readings, they are no readings that could be copied"""
+"""If more pairs of rows have equal readings, they are not readings that could be copied"""
 _ODD = np.uint64(0x9E3779B97F4A7C15)
 """2^64 over the golden ratio: the factor of the hash"""
 

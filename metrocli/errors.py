@@ -12,7 +12,7 @@ from metrocli.frozen import dataclass
 SHOWN = 160
 """Most characters of an offending line that are shown."""
 NO_MEMORY = "the memory that this program may take is not enough"
-"""In place of MemoryError, which is no defect"""
+"""In place of MemoryError, which is not a defect"""
 
 
 @dataclass(frozen=True)

@@ -87,7 +87,7 @@ class Record:
     def references(self) -> list[tuple[str, str]]:
         """Return what the result rests on, with certificate numbers.
 
-        Its inputs come first, then standards that are no files, then those of the results among its inputs.
+        Its inputs come first, then standards that are not files, then those of the results among its inputs.
         """
         stated: Mapping[str, str] = self.certificate.get("references", {})
         paths = [file.path for file in self.inputs]

@@ -46,7 +46,7 @@ def shortened(text: str, letters: int) -> str:
 def nearest(word: str, known: Iterable[str]) -> str | None:
     """Return the known word that is most similar, or None if none is similar enough.
 
-    Names with other numbers, and short ones with other letters, name other things: P9 is no slip of P8, nor az of z.
+    Names with other numbers, and short ones with other letters, name other things: P9 is not a slip of P8, nor az of z.
     """
     own, numbers = _folded(word), _numbers(word)
     folded = {_folded(name): name for name in known if not numbers or _numbers(name) == numbers}

@@ -30,7 +30,7 @@ class Hidden:
 
     @property
     def distinct(self) -> bool:
-        """Whether it is no near alias of another candidate."""
+        """Whether it is not a near alias of another candidate."""
         return self.near < ALIKE
 
 

@@ -189,7 +189,7 @@ SIMULATED: dict[str, tuple[Callable[[np.random.Generator, str], Planted], tuple[
     "calibrate-camera": (_camera, ("wave in place or time", "saturation", "product")),
     "align-part": (_part, ("wave in place or time", "saturation", "product")),
 }
-"""Measurements of each kind, and the forms of errors that are no known effect there"""
+"""Measurements of each kind, and the forms of errors that are not a known effect there"""
 
 
 def planted(kind: str, number: int, nothing: bool = False) -> Planted:

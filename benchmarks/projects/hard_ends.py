@@ -22,7 +22,7 @@ from metrocli.formats import hdf5
 
 JOBS = 8
 NOT_TRIED = "not tried"
-"""How a finding begins that is no fault"""
+"""How a finding begins that is not a fault"""
 
 
 @dataclass

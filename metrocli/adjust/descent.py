@@ -229,7 +229,7 @@ def held(matrix: Array, frame: Frame | None, diagonal: Array) -> Array:
 
 def cholesky_solve(matrix: Array, right: Array) -> Array:
     if not (np.isfinite(matrix).all() and np.isfinite(right).all()):
-        raise np.linalg.LinAlgError("the normal equations have entries that are no numbers")
+        raise np.linalg.LinAlgError("the normal equations have entries that are not numbers")
     # unknowns in mm and 1/s have diagonals that differ by many digits: balanced, pivots are compared with 1
     scale = 1 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
     balanced, scaled = matrix * scale[:, None] * scale, (right.T * scale).T

@@ -61,8 +61,9 @@ def adjust_with_iterated_weights(
             if group.name in noise:
                 sigma = noise[group.name](group, state)
                 change = max(change, float(np.max(np.abs(sigma / group.observations.sigma - 1), initial=0.0)))
-                group, moved = with_aspects(group, aspects or {}, state)
-                group, turned = group.with_observations(replace(group.observations, sigma=sigma)), max(turned, moved)
+                group, turn = with_aspects(group, aspects or {}, state)
+                group = group.with_observations(replace(group.observations, sigma=sigma))
+                turned = max(turned, turn)
             renewed.append(group)
         groups = renewed
         failed = solution.outcome not in (Outcome.CONVERGED, Outcome.ITERATION_LIMIT)
@@ -77,11 +78,11 @@ def with_aspects(group: Group, aspects: Mapping[str, Aspect], blocks: Mapping[st
     observations = group.observations
     conditions = {name: aspect(blocks, observations) for name, aspect in aspects.items()}
     before = observations.conditions
-    known = [name for name in conditions if name in before]
+    # in the first round a group has no aspects yet: then nothing has changed
+    known = conditions.keys() & before.keys()
     changes = [float(np.abs(conditions[name] - before[name]).max(initial=0.0)) for name in known]
-    return replace(group, observations=replace(observations, conditions={**before, **conditions})), max(
-        changes, default=0.0
-    )
+    group = replace(group, observations=replace(observations, conditions={**before, **conditions}))
+    return group, max(changes, default=0.0)
 
 
 P = TypeVar("P")

@@ -58,23 +58,24 @@ def condense(x: Array, values: Array, cell: Index) -> Condensed:
     """
     order = np.argsort(cell, kind="stable")
     ordered = cell[order]
-    # prepend -1: cells are numbered from 0, so that the first reading begins one
+    # cells are numbered from 0: before them stands -1, so that the first reading begins a cell
     starts = np.flatnonzero(np.diff(ordered, prepend=-1))
     cells = _Cells(ordered, starts, x[order], values[:, order])
     counts = cells.counts
-    parts, moments = _moments(cells)
+    scaled, moments = _moments(cells)
     fit = (counts > _NODES) & (_smallest_pivot(moments) > _SPREAD)
     few = counts <= _NODES
-    pieces = [_parabolas(cells, parts, moments, fit), _as_they_are(cells, few), _means(cells, parts, ~fit & ~few)]
-    index, where, joined, weight = (np.concatenate(kind, axis=-1) for kind in zip(*pieces, strict=True))
+    pieces = [_parabolas(cells, scaled, moments, fit), _as_they_are(cells, few), _means(cells, scaled, ~fit & ~few)]
+    number, position, condensed, weight = (np.concatenate(arrays, axis=-1) for arrays in zip(*pieces, strict=True))
     # differences from the mean of the cell keep the digits that squares of large readings would lose
-    about = parts.mean[:, np.searchsorted(ordered[starts], index)]
-    total = ((cells.values - np.repeat(parts.mean, counts, axis=1)) ** 2).sum(axis=1)
-    misfit = np.maximum(total - ((joined - about) ** 2 * weight).sum(axis=1), 0.0)
+    mean = scaled.mean[:, np.searchsorted(ordered[starts], number)]
+    total = ((cells.values - np.repeat(scaled.mean, counts, axis=1)) ** 2).sum(axis=1)
+    misfit = np.maximum(total - ((condensed - mean) ** 2 * weight).sum(axis=1), 0.0)
     # each condensed reading takes one degree of freedom of its cell: three for a parabola, one for a mean
     used = np.where(few, counts, np.where(fit, _NODES, 1)).sum()
-    inside = np.lexsort((where, index))
-    return Condensed(index[inside], where[inside], joined[:, inside], weight[inside], misfit, int(counts.sum() - used))
+    inside = np.lexsort((position, number))
+    dof = int(counts.sum() - used)
+    return Condensed(number[inside], position[inside], condensed[:, inside], weight[inside], misfit, dof)
 
 
 @dataclass(frozen=True)
@@ -123,25 +124,27 @@ def _smallest_pivot(moments: Array) -> Array:
 
 
 _Piece = tuple[Index, Array, Array, Array]
+"""Cell, position, values and weight of condensed readings"""
 
 
-def _parabolas(cells: _Cells, parts: _ScaledCells, moments: Array, chosen: Mask) -> _Piece:
+def _parabolas(cells: _Cells, scaled: _ScaledCells, moments: Array, chosen: Mask) -> _Piece:
     """Return the fitted parabolas of the chosen cells at their Gauss nodes, with the Gauss weights.
 
     With M = R R' the moment matrix, the nodes are the eigenvalues of `R^-1 M1 R^-T`, M1 the moments one power up.
     """
     numbers = np.flatnonzero(chosen)
     root = np.linalg.cholesky(_hankel(moments[numbers], 0))
-    back = np.linalg.inv(root)
-    nodes, _ = np.linalg.eigh(back @ _hankel(moments[numbers], 1) @ np.swapaxes(back, 1, 2))
-    basis = nodes[..., None] ** np.arange(_NODES) @ np.swapaxes(back, 1, 2)
-    # the weight of a Gauss node is one over the sum of the squared orthonormal polynomials there
+    inverse = np.linalg.inv(root)
+    nodes, _ = np.linalg.eigh(inverse @ _hankel(moments[numbers], 1) @ np.swapaxes(inverse, 1, 2))
+    # the orthonormal polynomials of each cell at its nodes
+    basis = nodes[..., None] ** np.arange(_NODES) @ np.swapaxes(inverse, 1, 2)
+    # the weight of a Gauss node is one over the sum of their squares there
     weight = cells.counts[numbers, None] / (basis**2).sum(axis=2)
-    fitted = np.einsum("mjk,mkl,cml->cmj", basis, back, parts.right[:, numbers])
-    values = fitted + parts.mean[:, numbers, None]
-    where = parts.centre[numbers, None] + parts.half[numbers, None] * nodes
-    index = np.repeat(cells.cell[cells.starts[numbers]], _NODES)
-    return index, where.ravel(), values.reshape(len(values), -1), weight.ravel()
+    fitted = np.einsum("mjk,mkl,cml->cmj", basis, inverse, scaled.right[:, numbers])
+    values = fitted + scaled.mean[:, numbers, None]
+    position = scaled.centre[numbers, None] + scaled.half[numbers, None] * nodes
+    cell = np.repeat(cells.cell[cells.starts[numbers]], _NODES)
+    return cell, position.ravel(), values.reshape(len(values), -1), weight.ravel()
 
 
 def _as_they_are(cells: _Cells, chosen: Mask) -> _Piece:
@@ -150,8 +153,8 @@ def _as_they_are(cells: _Cells, chosen: Mask) -> _Piece:
     return cells.cell[rows], cells.x[rows], cells.values[:, rows], np.ones(len(rows))
 
 
-def _means(cells: _Cells, parts: _ScaledCells, chosen: Mask) -> _Piece:
+def _means(cells: _Cells, scaled: _ScaledCells, chosen: Mask) -> _Piece:
     """Return one reading for each chosen cell: the means of position and values."""
     numbers = np.flatnonzero(chosen)
-    where = cells.sums(cells.x)[numbers] / cells.counts[numbers]
-    return cells.cell[cells.starts[numbers]], where, parts.mean[:, numbers], cells.counts[numbers].astype(float)
+    position = cells.sums(cells.x)[numbers] / cells.counts[numbers]
+    return cells.cell[cells.starts[numbers]], position, scaled.mean[:, numbers], cells.counts[numbers].astype(float)

@@ -72,7 +72,7 @@ def command(place: Path, overrides: tuple[str, ...], accept_doubtful: bool, as_j
 
 
 def _name(job: JobFile) -> str:
-    part = job.wishes.part
+    part = job.options.part
     return f"{job.file}[{part.name}]" if part is not None else str(job.file)
 
 

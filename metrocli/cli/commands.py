@@ -13,7 +13,7 @@ import click
 
 from metrocli import __version__
 from metrocli.cli.console import echo
-from metrocli.cli.help import COMMANDS, MODULES, ROOMS, example_of, help_text, version_text
+from metrocli.cli.help import COMMANDS, MODULES, PACKAGES, example_of, help_text, version_text
 from metrocli.cli.shell.progress_line import with_progress
 from metrocli.cli.shell.signals import INTERRUPTED, TERMINATED, Terminated, ending
 from metrocli.errors import NO_MEMORY, Fault, InputError, MetrocliError
@@ -61,8 +61,8 @@ def _complete(command: click.Command) -> click.Command:
 
 
 def module_of(command: str) -> str:
-    """Return the module of a command that is no kind of job."""
-    return f"metrocli.cli.{ROOMS.get(command, '')}{MODULES.get(command, command)}"
+    """Return the module of a command that is not a kind of job."""
+    return f"metrocli.cli.{PACKAGES.get(command, '')}{MODULES.get(command, command)}"
 
 
 _CANNOT_WRITE = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO)

@@ -48,7 +48,7 @@ def echo(text: str, err: bool = False, nl: bool = True, as_is: bool = False) -> 
         if not os.environ.get("NO_COLOR") and os.environ.get("TERM", "dumb") != "dumb":
             text = coloured(text)
     with LINES[-1].away() if LINES else nullcontext(), suppress(OSError) if err else nullcontext():
-        click.echo(text, err=err, nl=nl)  # a full or closed stderr is no reason to lose the result
+        click.echo(text, err=err, nl=nl)  # a full or closed stderr is not a reason to lose the result
 
 
 def echo_json(value: Any) -> None:

@@ -29,7 +29,7 @@ COMMANDS = {
     "completion": "completion of commands and options in bash, zsh or fish",
 }
 """The commands that are not kinds of job"""
-ROOMS = {
+PACKAGES = {
     "gather": "provenance.",
     "lineage": "provenance.",
     "diff": "provenance.",
@@ -41,9 +41,9 @@ ROOMS = {
     "completion": "shell.",
     "import": "exchange.",
 }
-"""The package in this one that has a command; the others are modules of this package"""
+"""The packages in `metrocli.cli` that have the module of a command; the other modules are in `metrocli.cli` itself"""
 MODULES = {"import": "imports"}
-"""The module of a command whose name is a word of Python; the others have the name of their command"""
+"""The module of `import`, which is a keyword of Python; the others have the name of their command"""
 
 _GEAR = "gear-m3d3"
 EXAMPLES = {
@@ -79,7 +79,7 @@ EXAMPLES = {
     "schema": ("", "metrocli schema multilaterate"),
     "completion": ("", 'eval "$(metrocli completion bash)"'),
 }
-"""An example of each command, which its help ends with, and the sample in which it can be typed; "" anywhere"""
+"""By command: the sample in which its example can be typed, "" if anywhere, and the example that ends its help"""
 
 
 def example_of(command: str) -> str:

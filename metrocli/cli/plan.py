@@ -33,7 +33,7 @@ _READINGS = 5
 @options.ACCEPT
 @options.WRITES
 def command(
-    job: Path, out: Path | None, reveal: str | None, force: bool, as_json: bool, quiet: bool, **wishes: Any
+    job: Path, out: Path | None, reveal: str | None, force: bool, as_json: bool, quiet: bool, **more: Any
 ) -> int:
     """Plan; write tables and files; print the expected uncertainties and the paths."""
     from metrocli.cli import summary, terminal
@@ -45,12 +45,12 @@ def command(
 
     console = Console(quiet)
     kind = kind_of_job(job)
-    not_needed, accept = KINDS[kind].planned if kind else (), wishes["accept_doubtful"]
-    loaded = load(job, JobOptions(wishes["overrides"], not_needed=not_needed, accept_doubtful=accept))
+    not_needed, accept = KINDS[kind].planned if kind else (), more["accept_doubtful"]
+    loaded = load(job, JobOptions(more["overrides"], not_needed=not_needed, accept_doubtful=accept))
     folder = out if out is not None else loaded.file.with_name(f"{loaded.stem}.plan")
     planned.refuse_foreign(folder, force)
     plan = runner.plan(loaded)
-    revealed = None if reveal is None else _revealing(job, reveal, wishes)
+    revealed = None if reveal is None else _revealing(job, reveal, more)
     text = summary.json_of_plan(plan, folder, {} if revealed is None else as_data(revealed))
     files = planned.files_of(plan)
     refuse_inputs((folder / name for name in files), (*loaded.stated_in, *loaded.files))
@@ -67,14 +67,14 @@ def command(
     return 0
 
 
-def _revealing(job: Path, effect: str, wishes: dict[str, Any]) -> Next:
+def _revealing(job: Path, effect: str, more: dict[str, Any]) -> Next:
     """Return the further readings that best show an effect; readings that do not exist yet are simulated."""
     from metrocli.diagnosis.next_readings.choice import revealing
     from metrocli.project import diagnosed
     from metrocli.project.job import JobOptions, kind_of_job, load
 
     kind = kind_of_job(job)
-    not_needed, accept = KINDS[kind].measured if kind else (), wishes["accept_doubtful"]
-    loaded = load(job, JobOptions(wishes["overrides"], not_needed=not_needed, accept_doubtful=accept))
+    not_needed, accept = KINDS[kind].measured if kind else (), more["accept_doubtful"]
+    loaded = load(job, JobOptions(more["overrides"], not_needed=not_needed, accept_doubtful=accept))
     adjusted, design = diagnosed.design_of(loaded)
     return revealing(adjusted, design, effect, _READINGS)

@@ -29,7 +29,7 @@ from metrocli.tasks import KINDS
 @options.SET
 @options.ACCEPT
 @options.WRITES
-def command(job: Path, out: Path, seed: int, images: bool, quiet: bool, force: bool, **wishes: Any) -> int:
+def command(job: Path, out: Path, seed: int, images: bool, quiet: bool, force: bool, **more: Any) -> int:
     """Simulate; write tables, images and truth.json; print their paths."""
     from metrocli.formats.own_files import refuse_inputs
     from metrocli.project import runner
@@ -40,11 +40,11 @@ def command(job: Path, out: Path, seed: int, images: bool, quiet: bool, force: b
         raise InputError([Fault("the folder is not empty", str(out), hint="name a new one, or use --force")])
     kind = kind_of_job(job)
     not_needed = KINDS[kind].measured if kind else ()
-    accept, effects = wishes["accept_doubtful"], wishes["effects"]
-    asked = JobOptions(wishes["overrides"], not_needed=not_needed, effects=effects, accept_doubtful=accept)
+    accept, effects = more["accept_doubtful"], more["effects"]
+    asked = JobOptions(more["overrides"], not_needed=not_needed, effects=effects, accept_doubtful=accept)
     loaded = load(job, asked)
     simulation = runner.simulate(loaded, SimulationOptions(seed, images))
     if not (out / TRUTH).is_file():  # readings that an earlier simulation wrote are none of an instrument
         written = (out / name for name in (*simulation.files, *(name for name, _ in simulation.pictures)))
         refuse_inputs(written, (*loaded.stated_in, *loaded.files))
-    return print_files(write(simulation, out), wishes["as_json"], quiet)
+    return print_files(write(simulation, out), more["as_json"], quiet)

@@ -43,7 +43,7 @@ class Delivered:
     reported: Mapping[str, Array] = field(default_factory=dict)
     """Matrices (columns, members, members) by which values of a block become those that are reported, if others are"""
     moved: Callable[[Effect, Mapping[str, str]], Array | None] = lambda effect, where: None
-    """Move of what is measured itself (all members, columns, parameters) by a unit effect, which is no error of it"""
+    """Move of what is measured itself (all members, columns, parameters) by a unit effect; not an error of it"""
 
     @property
     def blocks(self) -> tuple[str, ...]:
@@ -76,7 +76,7 @@ class MemberSubset:
     """The local members whose readings are diagnosed, where all would take more memory than there is."""
 
     kind: str
-    """What they are: points, images"""
+    """What they are: point, image"""
     count: int
     of: int
     """How many have readings"""
@@ -91,7 +91,7 @@ class Budget:
     def __init__(self, seconds: float = math.inf, whole: Budget | None = None) -> None:
         self.seconds = seconds
         self.whole = whole
-        """What it is a part of; an interruption of that interrupts it too"""
+        """The budget that it is a part of; an interruption of that one interrupts this one too"""
         self.ended = False
         """Whether a search ended because of it"""
         self.interrupted = False
@@ -103,7 +103,7 @@ class Budget:
         self.interrupted = True
 
     def spent(self) -> bool:
-        """Return whether the time is spent or the search interrupted, and remember that time was asked in vain."""
+        """Return whether the time is spent or the search interrupted; `ended` remembers the former."""
         if self.interrupted or (self.whole is not None and self.whole.interrupted):
             return True
         self.ended = self.ended or self.left() <= 0
@@ -143,7 +143,7 @@ class AdjustedJob:
     list_offset: float = 0.0
     """Distance of places from where the files list them, relative to what is plausible; above 1 a file is wrong"""
     left_out: int = 0
-    """Readings that its adjustment left out as outliers"""
+    """Number of readings that its adjustment left out as outliers"""
     removes: bool = False
     """Whether the job leaves outliers out, which its diagnosis has"""
     fewest: int = 3
@@ -225,25 +225,27 @@ class Misfit:
 
     @property
     def worst(self) -> float:
-        """The larger of both."""
+        """The larger of residuals and places."""
         return max(self.residuals, self.places)
 
     def spoilt_alike(self, other: Misfit, shrinks: float) -> bool:
-        """Whether another reading of the files only takes wrong readings out of the fit, so that the median falls.
+        """Whether a correction of the files only takes wrong readings out of the fit, so that the median falls.
 
-        Lengths that become lighter beside angles do that. The root mean square does not fall with it.
+        Lengths that get less weight beside angles do that. The root mean square does not fall with it.
         """
         return self.residuals >= 1 and other.spread * BETTER > self.spread * shrinks
 
     def ratio(self, other: Misfit, shrinks: float = 1.0) -> float:
-        """Return how many times larger its square is than that of another reading of the same files.
+        """Return how many times larger its square is than that of the job after a correction of its files.
 
-        `shrinks` is the factor of the residuals that the other reading has whatever is wrong.
+        `shrinks` is the factor by which the correction makes residuals smaller, whatever is wrong.
         """
-        # the same measure before and after: readings can fit while the places are
-        # wrong, and another reading must mend these
-        absurd = self.residuals if self.residuals >= 1 else self.places
-        return (absurd * shrinks / max(other.residuals if self.residuals >= 1 else other.places, 1e-12)) ** 2
+        # the same measure of both: where the residuals fit, the places are wrong, and the other files must mend these
+        if self.residuals >= 1:
+            before, after = self.residuals, other.residuals
+        else:
+            before, after = self.places, other.places
+        return (before * shrinks / max(after, 1e-12)) ** 2
 
 
 def misfit_of(job: AdjustedJob) -> Misfit:

@@ -1,4 +1,4 @@
-"""What the extended job has that the job has not: entries of effects, and the noise."""
+"""What the extended job has that the job lacks: entries of effects, and the noise."""
 
 from __future__ import annotations
 

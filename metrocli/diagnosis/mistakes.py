@@ -179,9 +179,10 @@ def misread(
     (_, first, fits), *alike = _as_good(misfits)
     rest = [f"{mistake.file or mistake.input}: {mistake.words}" for _, mistake, _ in alike]
     how = (
-        f"read so, the job has a solution that fits, which it has not as it stands ({_first_line(failure)})"
+        "with this corrected, the job has a solution that fits, which it does not have as it stands "
+        f"({_first_line(failure)})"
         if before is None
-        else f"read so, the readings fit {before.ratio(fits):.2g} times better (ratio of squared misfits)"
+        else f"with this corrected, the readings fit {before.ratio(fits):.2g} times better (ratio of squared misfits)"
     )
     also = f"; as good: {'; '.join(rest)}" if rest else ""
     return InputError([Fault(f"{first.words}: {how}", first.file or first.input, hint=f"write {first.write}{also}")])

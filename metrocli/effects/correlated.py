@@ -131,7 +131,7 @@ def _with_error(model: Model, error: StatedCorrelation, covariate: Covariate, no
         at, noise = node.get("std") or node, float(_typical(groups[0])[0])
         hint = f"write a size above zero with its unit, at most {_MOST:g} times the declared noise of {noise:.2g} "
         hint += groups[0].observations.unit_of_each[0]
-        return model, [at.fault(f"correlated: std: '{error.std}' is no size of these readings", hint)]
+        return model, [at.fault(f"correlated: std: '{error.std}' is not a size of these readings", hint)]
     turn = kernel(smooth.distances, error.length)
     for group, (values, numbers), std in zip(groups, smooth.values, stds, strict=True):
         basis = np.einsum("nm,nmk->kn", values, turn[numbers])

@@ -36,7 +36,7 @@ READ_BY = {
     "heights of {point}": "height differences that read it",
     "station in order": "stations without times",
 }
-"""What a condition at a place needs that is no column, for messages"""
+"""What a condition at a place needs that is not a column, for messages"""
 MakeLink = Callable[[str, Mapping[str, str]], Link]
 """Builds the link of an effect from the name of its block and the place where it acts"""
 

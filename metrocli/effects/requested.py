@@ -46,9 +46,9 @@ class RequestedEffect:
     std: float = 0.0
     """Standard deviation of the parameters at all places of its kind; 0 if it acts at one place"""
     correlation: tuple[StatedCorrelation, Covariates] | None = None
-    """For a correlated error, which is no entry of the table: what the job states, and the covariates"""
+    """For a correlated error, which is not an entry of the table: what the job states, and the covariates"""
     variance_ratio: float = 0.0
-    """For a variance group, which is no entry of the table either: ratio of its standard deviations to the declared"""
+    """For a variance group, which is not in the table either: ratio of its standard deviations to the declared"""
 
     @property
     def name(self) -> str:

@@ -89,7 +89,7 @@ def _at(model: Model, group: Group, by: str, only: str) -> Mask:
 
 
 def _names(model: Model) -> Mapping[str, Sequence[str]]:
-    """Return the names of the places that readings can have, by their kind; a single group of readings is no part."""
+    """Return the names of the places of readings, by their kind; a single group of readings is not a place."""
     names = {key: place.names for key, place in model.places.items() if place.index and any(place.names)}
     return names | ({READING: [group.name for group in model.readings]} if model.readings[1:] else {})
 

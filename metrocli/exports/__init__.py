@@ -1,8 +1,9 @@
 """Export results in other formats. Each format is one module here and one entry in FORMATS.
 
-- `csv_errors`, `sa_ascii`, `camera_models`: tables, points, cameras
+- `csv_errors`: tables; `sa_ascii`: points; `camera_models`, of `expressed_cameras`: cameras
 - compensation tables: `error_tables` or `volumetric` (what the measurement determined) -> one module a control ->
   `compensation`, which reads the files back and moves the machine as the control would
+- `pivots`: where rotary axes lie
 - `dcc`: a certificate, of `dcc_quantities` and `dcc_elements`
 """
 

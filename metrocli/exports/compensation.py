@@ -145,7 +145,7 @@ def has_positioning(result: Result) -> bool:
 def _one_turn(curve: ErrorTable) -> ErrorTable:
     """Return the curve of a periodic axis from 0 to 360 deg, where a control wants it to begin and to end."""
     inside = np.mod(curve.positions, TURN)
-    # rounded, so that 360 deg less rounding is no second knot beside 360
+    # rounded, so that 360 deg less rounding is not a second knot beside 360
     grid = np.unique(np.concatenate([[0.0, TURN], inside]).round(9))
     order = np.argsort(inside)
     values, std = (

@@ -59,7 +59,7 @@ def files(result: Result, record: Record) -> Exported:
 
 
 def _missing(record: Record) -> Iterator[Fault]:
-    """Yield a fault for each key that the certificate needs and the job lacks, and each reference that is no input."""
+    """Yield a fault for each key that a certificate needs and the job lacks, and for each foreign reference."""
     stated, job = record.certificate, f"in the job {record.job_file}".strip()
     for path in _REQUIRED:
         first, _, second = path.partition(".")
@@ -70,7 +70,7 @@ def _missing(record: Record) -> Iterator[Fault]:
     for name in stated.get("references", {}):
         if name not in paths and _FILE.fullmatch(name):
             hint = f"its inputs are: {', '.join(paths)}" if paths else "it has no inputs; name the standard"
-            yield Fault(f"certificate: references: {name} is no input of the result", hint=hint)
+            yield Fault(f"certificate: references: {name} is not an input of the result", hint=hint)
 
 
 def _add_administrative_data(to: ET.Element, result: Result, record: Record) -> None:

@@ -71,7 +71,7 @@ def expressed(program: str, result: Result, within: float, posed: bool = False) 
     camera, and where the nearest differs by more than `within` [px].
     """
     if "camera" not in result.tables or "convention" not in result.statistics:
-        raise InputError(f"a result of {result.kind} is no camera: this format takes results of calibrate-camera")
+        raise InputError(f"a result of {result.kind} is not a camera: this format takes results of calibrate-camera")
     cameras = list[ExpressedCamera]()
     for stated in stated_cameras(result):
         try:

@@ -117,7 +117,7 @@ class Expression:
 
 def parse(text: str) -> Expression:
     """Return the expression of a text; raises ExpressionError with the place of the first part that is not allowed."""
-    _refuse_text(text)
+    _refuse_faulty(text)
     # line ends become blanks, so that an expression can continue on the next line and columns stay valid
     one_line = re.sub(r"\s", " ", text)
     try:
@@ -125,6 +125,7 @@ def parse(text: str) -> Expression:
             warnings.simplefilter("ignore")
             body = ast.parse(f"({one_line})", mode="eval").body
     except SyntaxError as error:
+        # the offset counts from 1, and from the bracket before the text
         start = min(max((error.offset or 2) - 2, 0), max(len(text) - 1, 0))
         raise ExpressionError("this is not an expression", start, _near(text, start)) from error
     except (RecursionError, MemoryError, ValueError) as error:
@@ -137,7 +138,7 @@ def _near(text: str, start: int) -> str:
     return f"something is missing or too much near '{text[start : start + 12].strip()}'"
 
 
-def _refuse_text(text: str) -> None:
+def _refuse_faulty(text: str) -> None:
     """Raise ExpressionError for faults that show in the text itself, which limits the work of the parser."""
     if len(text) > LONGEST:
         message = f"the model has {len(text)} characters, at most {LONGEST} are allowed"
@@ -156,9 +157,9 @@ def _refuse_text(text: str) -> None:
         count += token not in "(),"
         if token == "(":
             open_brackets.append(start)
-        if token == ")" and not open_brackets:
-            raise ExpressionError("this bracket has no opening bracket", start, "a '(' is missing before it")
         if token == ")":
+            if not open_brackets:
+                raise ExpressionError("this bracket has no opening bracket", start, "a '(' is missing before it")
             open_brackets.pop()
         if len(open_brackets) > DEEPEST:
             raise ExpressionError(f"more than {DEEPEST} brackets within each other", start)
@@ -166,7 +167,7 @@ def _refuse_text(text: str) -> None:
             raise ExpressionError("'//' cannot stand in a model", start, "write / for a division")
         if keyword.iskeyword(token):
             raise ExpressionError(f"'{token}' cannot stand in a model", start)
-        if "__" in token and token[0].isalpha() | (token[0] == "_"):
+        if "__" in token and (token[0].isalpha() or token[0] == "_"):
             raise ExpressionError(f"'{token}' cannot stand in a model", start, "write names without double underscores")
         if (token[0].isdigit() or token[0] == ".") and not _NUMBER.fullmatch(token):
             raise ExpressionError(f"'{token}' is not a number", start, "write e.g. 2*x, 1000 or 1e3")
@@ -179,19 +180,22 @@ def _refuse_text(text: str) -> None:
 def _postfix(body: ast.expr) -> Iterator[Operation]:
     """Yield the steps of a tree, arguments before their operation, without recursion."""
     waiting: list[tuple[ast.expr, bool]] = [(body, False)]
+    """Nodes, each with whether its arguments have been yielded"""
     count = 0
     while waiting:
         node, ready = waiting.pop()
+        # columns count from the bracket before the text
         start, end = max(node.col_offset - 1, 0), (node.end_col_offset or 1) - 1
         count += 1
+        # an operation comes up twice, before its arguments and after them, and a number or a name once
         if count > 3 * MOST_PARTS:
             raise ExpressionError(f"the model has more than {MOST_PARTS} operations", start)
         operation, arguments = _operation(node)
         if ready or not arguments:
-            yield _leaf(node, start, end) if not arguments else Operation(operation, len(arguments), start, end)
-            continue
-        waiting.append((node, True))
-        waiting.extend((argument, False) for argument in reversed(arguments))
+            yield Operation(operation, len(arguments), start, end) if arguments else _leaf(node, start, end)
+        else:
+            waiting.append((node, True))
+            waiting.extend((argument, False) for argument in reversed(arguments))
 
 
 def _leaf(node: ast.expr, start: int, end: int) -> Operation:
@@ -206,6 +210,7 @@ def _leaf(node: ast.expr, start: int, end: int) -> Operation:
 
 def _finite(node: ast.Constant, start: int) -> float:
     value = node.value
+    # True is an int in Python
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise ExpressionError(f"{value!r} cannot stand in a model", start)
     try:
@@ -260,6 +265,7 @@ def _dotted(node: ast.expr) -> str:
 def _folded(parts: list[Operation]) -> Iterator[Operation]:
     """Yield the steps with every operation on plain numbers carried out; rejects overflows such as 9**9**9**9."""
     stack: list[list[Operation]] = []
+    """The steps of each value on the stack"""
     for part in parts:
         if part.arity == 0:
             stack.append([part])

@@ -97,7 +97,7 @@ def unused(raw: Raw, columns: Columns, places: dict[str, tuple[int, units.Unit |
     wanted = [column for column in columns.columns if column.name not in places]
     names = [name for index, name in enumerate(raw.header) if index not in used]
     ask = {name: _meant(name, wanted) for name in names}
-    # without the line and sorted: comments and the order of columns are no change of a table
+    # without the line and sorted: comments and the order of columns are not a change of a table
     return tuple(f"{raw.file}: the column '{name}' is not used{ask[name]}" for name in sorted(names))
 
 

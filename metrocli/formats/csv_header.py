@@ -41,5 +41,5 @@ _DECIMAL_COMMA = re.compile(r"(?<![\d.])\d+,\d+(?![\d.])")
 
 
 def has_decimal_comma(line: str) -> bool:
-    """Return whether a row may have too many cells since a comma is its decimal sign; an empty end is no number."""
+    """Return whether a row may have too many cells since a comma is its decimal sign; an empty end is not a number."""
     return bool(_DECIMAL_COMMA.search(line)) and not line.rstrip().endswith(",")

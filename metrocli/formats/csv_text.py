@@ -19,7 +19,7 @@ from metrocli.words import composed
 
 MOST_FAULTS = 20
 MOST_COLUMNS = 5000
-"""A wider table is no measurement, and to compare all its names would take minutes"""
+"""A wider table is not a measurement, and to compare all its names would take minutes"""
 
 Cells = Sequence[Sequence[str]]
 """Cells of each column"""
@@ -70,7 +70,7 @@ class Raw:
 
 def read_text(path: Path, shown: str, held: FileBytes | None = None) -> str:
     data = (held or read_bytes(path, "a CSV file", shown)).data
-    # UTF-16 and binary files, which are named as such and not by their first byte that is no UTF-8
+    # UTF-16 and binary files, which are named as such and not by their first byte that is not UTF-8
     if b"\0" in data:
         line = data[: data.index(b"\0")].count(b"\n") + 1
         raise InputError([Fault("this is not a text file", shown, line, 1, hint="expected CSV in UTF-8")])

@@ -76,7 +76,7 @@ def record_of(label: Label, body: memoryview, shown: str) -> Record:
 def _opened(body: memoryview) -> tuple[h5py.File, dict[str, h5py.Dataset]]:
     """Open an HDF5 file in memory, and return its datasets by their paths.
 
-    All objects lie in it: no links, no external data, no size that it has not.
+    All objects lie in it: no links, no external data, no size beyond it.
     """
     file = h5py.File(h5py.h5f.open_file_image(body))
     datasets = {path: item for path, item in _walk(file, "", 0, set()) if isinstance(item, h5py.Dataset)}
@@ -170,7 +170,7 @@ def _sort_in(name: str, item: h5py.Dataset, tables: _Held, arrays: _Held) -> Non
         tables[name] = replace(table, columns=columns)
     else:
         if item.ndim == 0 or item.dtype.kind not in "biuf":
-            raise ValueError(f"{name} is no array of numbers")
+            raise ValueError(f"{name} is not an array of numbers")
         arrays[name] = item[()]
 
 

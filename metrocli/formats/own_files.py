@@ -149,7 +149,7 @@ def read(path: Path, held: FileBytes | None = None) -> Triangles:
         raise InputError([Fault("there are no triangles in this file", str(path), hint=_HINT)])
     if not np.isfinite(corners).all():
         bad = int(np.flatnonzero(~np.isfinite(corners).all(axis=(1, 2)))[0])
-        raise InputError([Fault(f"triangle {bad + 1} has a coordinate that is no number", str(path))])
+        raise InputError([Fault(f"triangle {bad + 1} has a coordinate that is not a number", str(path))])
     return _merged(corners)
 
 

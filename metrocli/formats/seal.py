@@ -42,7 +42,7 @@ class Label:
     """Relative to the folder of the result"""
     exit_code: int = 0
     warned: bool = False
-    """Whether it has warnings that are no doubts"""
+    """Whether it has warnings that are not doubts"""
 
 
 def sealed(label: Label, body: bytes) -> tuple[bytes, bytes]:

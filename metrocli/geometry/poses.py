@@ -88,34 +88,35 @@ def apply(poses: Array, points: Array) -> Array:
     return (rotation_of(poses) @ points[..., None])[..., 0] + poses[..., :3]
 
 
-def fit_pose(points: Array, targets: Array) -> Array:
-    """Return the pose that brings points (n, 3) nearest to targets (n, 3) in least squares (Kabsch)."""
-    centre, goal = points.mean(axis=0), targets.mean(axis=0)
-    rotation = nearest_rotation((targets - goal).T @ (points - centre))
+def fit_pose(points: Array, goals: Array) -> Array:
+    """Return the pose that brings points (n, 3) nearest to goals (n, 3) in least squares (Kabsch)."""
+    centre, goal = points.mean(axis=0), goals.mean(axis=0)
+    rotation = nearest_rotation((goals - goal).T @ (points - centre))
     return pose(rotation, goal - rotation @ centre)
 
 
 def fit_similarity(points: Array, goals: Array) -> tuple[Array, float]:
     """Return pose (6,) and scale that lay points (n, 3) nearest to goals (n, 3), unweighted (Umeyama 1991)."""
-    pose = fit_pose(points, goals)
-    away, wanted = points - points.mean(axis=0), goals - goals.mean(axis=0)
-    scale = float((wanted * (away @ rotation_of(pose).T)).sum() / max((away**2).sum(), 1e-300))
+    # the rotation of the best fit does not depend on the scale
+    rotation = rotation_of(fit_pose(points, goals))
+    centred, centred_goals = points - points.mean(axis=0), goals - goals.mean(axis=0)
+    scale = float((centred_goals * (centred @ rotation.T)).sum() / max((centred**2).sum(), 1e-300))
     return fit_pose(scale * points, goals), scale
 
 
-def mirrored_about(values: Array, sight: Array, centre: Array, normal: Array) -> Array:
+def mirrored_about(poses: Array, sight: Array, centre: Array, normal: Array) -> Array:
     """Return poses (n, 6) whose plane has its normal mirrored about a line of sight, and whose centre stays.
 
     The mirror image of the normal n about the unit vector s is `2 (s n) s - n` (Schweighofer and Pinz 2006). `sight` is
     the vector to the centre (n, 3); `centre` and `normal` (3,) are in the frame of the plane.
     """
-    rotation, middle = rotation_of(values), apply(values, centre)
+    rotation, kept = rotation_of(poses), apply(poses, centre)
     along = sight / np.linalg.norm(sight, axis=1, keepdims=True)
-    now = rotation @ normal
-    goal = 2 * (along * now).sum(axis=1, keepdims=True) * along - now
-    axis = np.cross(now, goal)
-    sine, cosine = np.linalg.norm(axis, axis=1), (now * goal).sum(axis=1)
+    turned = rotation @ normal
+    mirrored = 2 * (along * turned).sum(axis=1, keepdims=True) * along - turned
+    axis = np.cross(turned, mirrored)
+    sine, cosine = np.linalg.norm(axis, axis=1), (turned * mirrored).sum(axis=1)
     # atan2 of both: the arc cosine loses half of the digits where the turn is small
     turn = axis / np.maximum(sine, 1e-12)[:, None] * np.arctan2(sine, cosine)[:, None]
-    turned = rotation_from_vector(turn) @ rotation
-    return pose(turned, middle - turned @ centre)
+    rotation = rotation_from_vector(turn) @ rotation
+    return pose(rotation, kept - rotation @ centre)

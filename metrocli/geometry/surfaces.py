@@ -105,30 +105,31 @@ class Surfaces:
         along, radial, length = self._parts(points, surface)
         c, t, s = self.cosine[surface], self.sine[surface], self.sign[surface]
         distance = s * (c * length - t * along - self.radius[surface])
-        away = radial / np.maximum(length, _SMALL)[..., None]
-        return distance, s[..., None] * (c[..., None] * away - t[..., None] * self.axis[surface])
+        outward = radial / np.maximum(length, _SMALL)[..., None]
+        return distance, s[..., None] * (c[..., None] * outward - t[..., None] * self.axis[surface])
 
     def nearest(self, points: Array, levels: Array | float = 0.0) -> Index:
         """Return the surface whose distance from each point (..., 3) is nearest to the level (S,) of that surface."""
-        every = np.broadcast_to(np.arange(len(self.names)), (*points.shape[:-1], len(self.names)))
-        distance, _ = self.distances(points[..., None, :], every)
+        of_all = np.broadcast_to(np.arange(len(self.names)), (*points.shape[:-1], len(self.names)))
+        distance, _ = self.distances(points[..., None, :], of_all)
         return np.asarray(np.argmin(np.abs(distance - levels), axis=-1), dtype=np.intp)
 
     def shape(self, points: Array, surface: Index) -> Shape:
         """Return distance, normal and curvature at points (n, 3), each on the surface of its index (n,)."""
         distance, normal = self.distances(points, surface)
         _, radial, length = self._parts(points, surface)
-        away = radial / np.maximum(length, _SMALL)[:, None]
+        outward = radial / np.maximum(length, _SMALL)[:, None]
         axis = self.axis[surface]
-        # a sphere has axis 0, so that this is the projection across `away` alone
-        across = np.eye(3) - away[:, :, None] * away[:, None, :] - axis[:, :, None] * axis[:, None, :]
-        strength = self.sign[surface] * self.cosine[surface] / np.maximum(length, _SMALL)
-        return Shape(distance, normal, strength[:, None, None] * across)
+        # the projection square to the axis and to the direction away from it: a surface bends around its axis only;
+        # a sphere has axis 0 and bends in both directions
+        across = np.eye(3) - outward[:, :, None] * outward[:, None, :] - axis[:, :, None] * axis[:, None, :]
+        curvature = self.sign[surface] * self.cosine[surface] / np.maximum(length, _SMALL)
+        return Shape(distance, normal, curvature[:, None, None] * across)
 
     def _parts(self, points: Array, surface: Index) -> tuple[Array, Array, Array]:
         """Return height along the axis, the vector away from it, and its length."""
-        away = points - self.origin[surface]
+        from_origin = points - self.origin[surface]
         axis = self.axis[surface]
-        along = np.einsum("...k,...k->...", away, axis)
-        radial = away - along[..., None] * axis
+        along = np.einsum("...k,...k->...", from_origin, axis)
+        radial = from_origin - along[..., None] * axis
         return along, radial, np.linalg.norm(radial, axis=-1)

@@ -21,7 +21,11 @@ NEXT = np.array([1, 2, 0])
 
 @dataclass(frozen=True)
 class Triangles:
-    """A mesh: vertices (m, 3) and faces (f, 3), counter-clockwise as seen from outside."""
+    """A mesh: vertices (m, 3) and faces (f, 3), counter-clockwise as seen from outside.
+
+    Corner k of face f begins edge 3 f + k. The `feature` of a triangle that is nearest to a point is 0 for its face,
+    1 to 3 for its edges and 4 to 6 for its vertices, both in the order of the corners.
+    """
 
     vertices: Array
     faces: Index
@@ -55,10 +59,7 @@ class Triangles:
 
     @cached_property
     def _paired(self) -> tuple[Index, Index]:
-        """Return the neighbour of each edge (3 f,), -1 without one, and edges used wrongly twice or more often.
-
-        Edge e = 3 face + k runs from corner k to the next.
-        """
+        """Return the neighbour of each edge (3 f,), -1 without one, and the edges of `doubled_edges`."""
         start, end = self.faces.ravel(), self.faces[:, NEXT].ravel()
         key = np.minimum(start, end) * len(self.vertices) + np.maximum(start, end)
         order = np.argsort(key, kind="stable")
@@ -71,17 +72,17 @@ class Triangles:
         opposite = start[edge] == end[other]
         neighbour = np.full(len(start), -1, dtype=np.intp)
         neighbour[edge[opposite]], neighbour[other[opposite]] = other[opposite], edge[opposite]
-        twice = np.concatenate([edge[~opposite], order[first[counts > 2]]])
-        return neighbour, twice
+        doubled = np.concatenate([edge[~opposite], order[first[counts > 2]]])
+        return neighbour, doubled
 
     @property
     def open_edges(self) -> Index:
-        """Edges (3 face + corner) without a neighbour that runs the opposite way: holes, or triangles turned over."""
+        """Edges without a neighbour that runs the opposite way: holes, or triangles turned over."""
         return np.flatnonzero(self._paired[0] < 0)
 
     @property
     def doubled_edges(self) -> Index:
-        """Edges that two triangles use in the same direction."""
+        """Edges that two triangles use in the same direction, or that more than two use."""
         return self._paired[1]
 
     @cached_property
@@ -89,9 +90,9 @@ class Triangles:
         """Return the two triangles at each edge that has both, and the angle between their normals [rad], (e,) each."""
         neighbour, _ = self._paired
         edge = np.flatnonzero(neighbour > np.arange(len(neighbour)))
-        first, other = edge // 3, neighbour[edge] // 3
-        cosine = np.einsum("ek,ek->e", self.normals[first], self.normals[other])
-        return first, other, np.arccos(np.clip(cosine, -1, 1))
+        first, second = edge // 3, neighbour[edge] // 3
+        cosine = np.einsum("ek,ek->e", self.normals[first], self.normals[second])
+        return first, second, np.arccos(np.clip(cosine, -1, 1))
 
     def _joined(self, smooth: Mask) -> Index:
         """Return a label for each triangle (f,), the same for those that smooth edges (e,) join."""
@@ -118,14 +119,15 @@ class Triangles:
 
         Facets of a surface meet at angles alike; where the angle is twice the usual one of the patch, a surface ends.
         """
-        edge, _, angle = self._edges
+        first, _, angle = self._edges
+        patch = self.patch[first]
         bent = np.flatnonzero((angle > _FLAT) & (angle < _SMOOTH))
-        order = bent[np.lexsort((angle[bent], self.patch[edge[bent]]))]
-        present, first, counts = np.unique(self.patch[edge[order]], return_index=True, return_counts=True)
+        order = bent[np.lexsort((angle[bent], patch[bent]))]
+        present, start, counts = np.unique(patch[order], return_index=True, return_counts=True)
         usual = np.zeros(self.patches)
         # the median of each patch: the middle of its sorted angles
-        usual[present] = angle[order[first + counts // 2]]
-        return self._joined((angle < _FLAT) | (angle < np.minimum(2 * usual[self.patch[edge]], _SMOOTH)))
+        usual[present] = angle[order[start + counts // 2]]
+        return self._joined((angle < _FLAT) | (angle < np.minimum(2 * usual[patch], _SMOOTH)))
 
     @property
     def patches(self) -> int:
@@ -135,7 +137,7 @@ class Triangles:
     @property
     def neighbours(self) -> Index:
         """Pairs of patches that meet at an edge, both ways and in order (k, 2)."""
-        first, second = (self.patch[triangles] for triangles in self._edges[:2])
+        first, second = (self.patch[triangle] for triangle in self._edges[:2])
         across = first != second
         keys = np.concatenate(
             [first[across] * self.patches + second[across], second[across] * self.patches + first[across]]
@@ -165,19 +167,21 @@ class Triangles:
         They are interpolated between the normals of the vertices, each the sum of the triangles of the surface by their
         angles there.
         """
-        at_corner = np.zeros(len(self.vertices), dtype=bool)
-        at_corner[self.faces[face]] = True
-        around = np.flatnonzero(at_corner[self.faces].any(axis=1))
+        used = np.zeros(len(self.vertices), dtype=bool)
+        used[self.faces[face]] = True
+        # of a large mesh only the triangles around the faces in question
+        around = np.flatnonzero(used[self.faces].any(axis=1))
+        # a vertex has a normal for each smooth surface that meets there
         keys = self.faces * len(self.faces) + self._facets_of[:, None]
-        kept, number = np.unique(keys[around], return_inverse=True)
+        present, number = np.unique(keys[around], return_inverse=True)
         angle = self._angles(around)
         sums = [np.bincount(number.ravel(), (angle * self.normals[around, k, None]).ravel()) for k in range(3)]
-        of_corner = np.stack(sums, axis=1, dtype=np.float64)[np.searchsorted(kept, keys[face])]
+        of_corner = np.stack(sums, axis=1, dtype=np.float64)[np.searchsorted(present, keys[face])]
         of_corner = of_corner / np.maximum(np.linalg.norm(of_corner, axis=2), 1e-300)[:, :, None]
         to_corner = self.corners[face] - places[:, None]
-        against = np.cross(to_corner[:, NEXT], to_corner[:, NEXT[NEXT]])
+        opposite = np.cross(to_corner[:, NEXT], to_corner[:, NEXT[NEXT]])
         # barycentric: the part of the triangle opposite to each corner
-        weight = np.maximum(np.einsum("nik,nk->ni", against, self.normals[face]), 0.0)
+        weight = np.maximum(np.einsum("nik,nk->ni", opposite, self.normals[face]), 0.0)
         normal = np.einsum("ni,nik->nk", weight, of_corner)
         return np.asarray(normal / np.maximum(np.linalg.norm(normal, axis=1), 1e-300)[:, None])
 
@@ -215,8 +219,8 @@ class Triangles:
         at_corner = (feature > 3) & (self._patches_at[self.faces[face, np.clip(feature - 4, 0, 2)]] > 2)
         along = self.corners[face, NEXT[edge]] - self.corners[face, edge]
         along /= np.maximum(np.linalg.norm(along, axis=1), 1e-300)[:, None]
-        free: Array = (at_edge[:, None] * along)[:, :, None] * along[:, None]
-        return np.asarray((at_edge | at_corner)[:, None, None] * np.eye(3) - free)
+        along_edge: Array = (at_edge[:, None] * along)[:, :, None] * along[:, None]
+        return np.asarray((at_edge | at_corner)[:, None, None] * np.eye(3) - along_edge)
 
     @cached_property
     def separation(self) -> float:
@@ -236,6 +240,6 @@ class Triangles:
         neighbour = self._paired[0][edge]
         of_edge = self.normals[face] + self.normals[np.where(neighbour >= 0, neighbour // 3, face)]
         of_vertex = self._vertex_normals[self.faces[face, np.clip(feature - 4, 0, 2)]]
-        # 0 for a face, 1 for an edge (features 1 to 3), 2 for a vertex (4 to 6)
+        # 0 for a face, 1 for an edge, 2 for a vertex
         kind = np.searchsorted([1, 4], feature, side="right")[:, None]
         return np.where(kind == 0, self.normals[face], np.where(kind == 1, of_edge, of_vertex))

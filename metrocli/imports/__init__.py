@@ -1,6 +1,6 @@
-"""Import files of instruments as CSV that jobs read. Each format is one module here and one entry in FORMATS.
+"""Import files of instruments as CSV that jobs read. Each format is an entry in FORMATS; most have a module of theirs.
 
-- `lines` (text of a file with its line numbers) is what each begins with
+- `lines` (the text of a file with its line numbers) is what every format is given
 - tables: `columns`, by a mapping file; `proposed_mapping` guesses one; points: `sa_ascii`
 - networks: `gama_xml`, `comp3d`, `lgc2`; image points: `colmap_model`, `metashape_markers`, `vnl`
 - `cameras`, as YAML: `camera_fields` (keys of a text) -> `camera_readers` (a program each), `splined_camera`,
@@ -33,7 +33,7 @@ class ImportFormat:
     source: str
     """Where its layout is published"""
     takes: str = ""
-    """The one of the wishes that it uses: mapping or unit"""
+    """The option that it uses: mapping or unit"""
     several: bool = False
     """Whether several files belong together"""
 
@@ -108,15 +108,15 @@ FORMATS: dict[str, ImportFormat] = {
 }
 
 
-def imported(name: str, lines: TextLines, wishes: ImportOptions) -> Imported:
+def imported(name: str, lines: TextLines, options: ImportOptions) -> Imported:
     """Return the CSV files of a file in a format.
 
-    Raises UsageError for a wish that the format does not use, InputError that lists all faults with their rows.
+    Raises UsageError for an option that the format does not use, InputError that lists all faults with their rows.
     """
-    for wish, option in (("mapping", "--map"), ("unit", "--unit")):
-        if getattr(wishes, wish) and wish != FORMATS[name].takes:
+    for field, option in (("mapping", "--map"), ("unit", "--unit")):
+        if getattr(options, field) and field != FORMATS[name].takes:
             raise UsageError(f"--from {name} takes no {option}: leave it out")
-    if wishes.others and not FORMATS[name].several:
+    if options.others and not FORMATS[name].several:
         raise UsageError(f"--from {name} takes one file")
     files: Callable[[TextLines, ImportOptions], Imported] = import_module(FORMATS[name].module).files
-    return files(lines, wishes)
+    return files(lines, options)

@@ -51,7 +51,7 @@ def coefficients(form: LensForm) -> tuple[str, ...]:
 def camera_of(
     lines: TextLines, program: str, form: LensForm, size: Sequence[str], values: Mapping[str, str]
 ) -> ReadCamera:
-    """Return what was read; raises InputError for values that are no numbers, and sizes that are no whole ones."""
+    """Return what was read; raises InputError for values that are not numbers, and sizes that are not whole ones."""
     must_be_numbers(lines, values)
     wrong = [
         _at(lines, f"image {side} = '{text}'", text, "expected a whole number of pixels")
@@ -67,7 +67,7 @@ def camera_of(
 
 
 def must_be_numbers(lines: TextLines, values: Mapping[str, str]) -> None:
-    """Raise InputError with each value that is no finite number."""
+    """Raise InputError with each value that is not a finite number."""
     wrong = [(name, text) for name, text in values.items() if not is_number(text)]
     if wrong:
         raise InputError([_at(lines, f"not a number: {name} = '{text}'", text) for name, text in wrong])
@@ -130,7 +130,7 @@ def listed(text: str) -> list[str]:
     return [re.sub(r"(?<=[0-9])\.$", "", part.strip()) for part in parts]
 
 
-# indentation, key in quotes or without, and what stands behind it: a colon without a blank is no key of YAML
+# indentation, key in quotes or without, and what stands behind it: a colon without a blank is not a key of YAML
 _KEY = re.compile(r"([ \t]*)(?:'|\")?([\w.]+)(?:'|\")?[ \t]*:(?![^ \t])(.*)")
 # a line of a list, "- 1.5"
 _ENTRY = re.compile(r"^[ \t]*-(?:[ \t]+(.*))?$", re.MULTILINE)

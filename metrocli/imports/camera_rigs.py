@@ -69,7 +69,7 @@ def poses_of(parts: Mapping[str, CameraPart], rigs: TextLines | None, unit: str)
         here = np.zeros(6) if stated is None else _pose(part.lines, name, stated)
         in_file = "m" if part.program in _METRES else unit
         size = 1.0 if stated is None else _size_of_unit(part.lines if rigs is None else rigs, in_file)
-        # a guess of mm would be silent where it is wrong, since lenses fit any scale (docs/decisions/268)
+        # where a guess of mm is wrong, nothing would show it, since lenses fit any scale (docs/decisions/268)
         if size is None:
             return None
         here[:3] *= size
@@ -94,7 +94,7 @@ def _pose(lines: TextLines, name: str, stated: Sequence[str]) -> Array:
     values = np.array([float(number) for number in stated])
     turn = values[:9].reshape(3, 3)
     if np.abs(turn.T @ turn - np.eye(3)).max() > _TURNED or np.linalg.det(turn) < 0:
-        raise InputError([lines.fault(f"the pose of the camera {name} is no rotation", None, "expected R' R = 1")])
+        raise InputError([lines.fault(f"the pose of the camera {name} is not a rotation", None, "expected R' R = 1")])
     return poses.pose(nearest_rotation(turn), values[9:])
 
 

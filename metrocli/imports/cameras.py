@@ -30,21 +30,21 @@ _CENTRE = (0.02, 0.98)
 """Principal points beyond these shares of the image are not plausible, or in other units"""
 
 
-def files(lines: TextLines, wishes: ImportOptions) -> Imported:
+def files(lines: TextLines, options: ImportOptions) -> Imported:
     """Return camera.yaml, or a file for each of several cameras, and rig.yaml if their poses are stated.
 
     Raises InputError for what a file lacks, and for models that are not known here.
     """
     parts, rigs = dict[str, CameraPart](), None
-    for text in (lines, *wishes.others):
+    for text in (lines, *options.others):
         if is_rigs(text):
             rigs = text
             continue
         read = _cameras(text)
         if not read:
             expected = f"expected a camera of {', '.join(PROGRAMS)}"
-            raise InputError([text.fault("this is no camera of another program", None, expected)])
-        if wishes.others and len(read) == 1:
+            raise InputError([text.fault("this is not a camera of another program", None, expected)])
+        if options.others and len(read) == 1:
             read = {Path(text.file).stem: next(iter(read.values()))}
         if twice := [name for name in read if name in parts]:
             raise InputError([text.fault(f"another file has the camera {twice[0]} too", None, "name files distinctly")])
@@ -53,7 +53,7 @@ def files(lines: TextLines, wishes: ImportOptions) -> Imported:
         raise InputError([lines.fault("this is where cameras are, but none of them", None, "give cameras.txt too")])
     if len(parts) == 1:
         return {"camera.yaml": _written(next(iter(parts.values())))}
-    placed = poses_of(parts, rigs, wishes.unit)
+    placed = poses_of(parts, rigs, options.unit)
     without = "; their poses to each other, if the files have them, are not taken over: give the unit by --unit"
     note = _ALONE.format("; rig.yaml has them with their poses" if placed else without)
     rig = {"rig.yaml": _rig(parts, placed)} if placed else {}
@@ -61,7 +61,7 @@ def files(lines: TextLines, wishes: ImportOptions) -> Imported:
 
 
 def as_yaml(lines: TextLines) -> str | None:
-    """Return the text of camera.yaml or rig.yaml; None for a file that is no camera of another program.
+    """Return the text of camera.yaml or rig.yaml; None for a file that is not a camera of another program.
 
     Raises InputError as `files` does, and for several cameras whose poses it does not state.
     """
@@ -76,7 +76,7 @@ def as_yaml(lines: TextLines) -> str | None:
 
 
 def _cameras(lines: TextLines) -> dict[str, CameraPart]:
-    """Return the cameras of a file by their names; none if it is no camera of another program."""
+    """Return the cameras of a file by their names; none if it is not a camera of another program."""
     # searching a list would take minutes where thousands of empty lines follow each other
     text = re.sub(r"\n(?:[ \t]*\n){3,}", "\n\n", "\n".join(line.rstrip() for line in lines.lines))
     for program, sign, reader in READERS:
@@ -94,7 +94,7 @@ def _cameras(lines: TextLines) -> dict[str, CameraPart]:
 
 
 def program_of(text: str) -> str | None:
-    """Return the program whose camera a text is, by what only its files have; None if it is no camera."""
+    """Return the program whose camera a text is, by what only its files have; None if it is not a camera."""
     return next((program for program, sign, _ in READERS if re.search(sign, text, re.MULTILINE)), None)
 
 
@@ -206,9 +206,9 @@ def _must_be_plausible(lines: TextLines, camera: ReadCamera) -> None:
         extent = camera.size[0] if name == "cx" else camera.size[1]
         number = float(value)
         if name in ("f", "fx", "fy") and not _FIELD_OF_VIEW * max(camera.size) < number:
-            faults.append(lines.fault(f"{name} = {value} is no focal length in pixels of this image"))
+            faults.append(lines.fault(f"{name} = {value} is not a focal length in pixels of this image"))
         if name in ("cx", "cy") and not _CENTRE[0] * extent < number < _CENTRE[1] * extent:
-            faults.append(lines.fault(f"{name} = {value} is no principal point in pixels of this image"))
+            faults.append(lines.fault(f"{name} = {value} is not a principal point in pixels of this image"))
     if faults:
         width, height = camera.size
         hint = f"expected pixels: the file states an image of {width} x {height} px"

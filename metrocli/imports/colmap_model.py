@@ -21,14 +21,14 @@ _IMAGE, _POINT = 10, 12
 _CENTRE = Decimal("0.5")
 
 
-def files(lines: TextLines, wishes: ImportOptions) -> Imported:
+def files(lines: TextLines, options: ImportOptions) -> Imported:
     """Return observations.csv of images.txt, one for each of several cameras, or targets.csv of points3D.txt.
 
     Raises UsageError for points without a unit, InputError that lists all faults of the lines.
     """
     first = next((line.split() for _, line in lines.without("#")), [])
     points = len(first) >= _POINT and len(first) % 2 == 0 and all(map(is_number, first))
-    return _targets(lines, wishes.unit) if points else _observations(lines)
+    return _targets(lines, options.unit) if points else _observations(lines)
 
 
 def _targets(lines: TextLines, unit: str) -> Imported:

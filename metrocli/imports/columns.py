@@ -85,20 +85,20 @@ class Mapping:
             yield "file", "a name without folders is expected: --out names the folder"
 
 
-def files(lines: TextLines, wishes: ImportOptions) -> Imported:
+def files(lines: TextLines, options: ImportOptions) -> Imported:
     """Return the CSV that the mapping describes.
 
     Raises UsageError without a mapping file, InputError that lists all faults of it, or all faults of the rows.
     """
-    if wishes.mapping is None:
+    if options.mapping is None:
         raise UsageError("--from columns needs a mapping file: --map map.yaml (docs/imports.md)")
     faults: list[Fault] = []
-    mapping = Section(Mapping).read(wishes.mapping, faults)
+    mapping = Section(Mapping).read(options.mapping, faults)
     if mapping is BAD:
         raise InputError(faults)
     columns = {column.name: column for column in _input(mapping).columns}
     rows, names = _rows(lines, mapping)
-    faults += _misfits(mapping, columns, names, wishes.mapping.at("columns"))
+    faults += _misfits(mapping, columns, names, options.mapping.at("columns"))
     if faults:
         raise InputError(faults)
     header, cells = [], []
@@ -139,7 +139,7 @@ def _input(mapping: Mapping) -> Columns:
 
 
 def _table(spec: object) -> Columns | None:
-    """Return the columns that a specification of a file has; None if it is no table."""
+    """Return the columns that a specification of a file has; None if it is not a table."""
     if isinstance(spec, TableFile):
         columns: Columns = spec.columns
         return columns
@@ -200,7 +200,7 @@ def _place(source: ColumnSource, names: Sequence[str]) -> int | None:
 
 
 def _misfits(mapping: Mapping, columns: dict[str, Column], names: Sequence[str], node: Node) -> Iterator[Fault]:
-    """Yield what the mapping has that the input or the file has not, and what the input needs besides."""
+    """Yield what the mapping has that the input or the file lacks, and what the input needs besides."""
     for (key, _), (name, placed) in zip(node.entries, mapping.columns.items(), strict=True):
         if name in columns:
             yield from _faults_of(columns[name], _source(placed), placed.node, names)

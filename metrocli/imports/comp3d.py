@@ -25,7 +25,7 @@ _READ = "codes 1 and 3 (distances), 4 (height differences), 5, 6, 7 and 8 (angle
 _CC, _MM = 10000.0, 1000.0
 
 
-def files(lines: TextLines, wishes: ImportOptions) -> Imported:
+def files(lines: TextLines, options: ImportOptions) -> Imported:
     """Return points.csv of a .cor, else readings.csv, stations.csv and heights.csv; raises InputError of all faults."""
     return _points(lines) if lines.file.lower().endswith(".cor") else _observations(lines)
 
@@ -44,7 +44,7 @@ def _points(lines: TextLines) -> Imported:
             continue
         if code not in _GIVEN or len(fields) < 4 or not all(map(is_number, fields[1:])):
             hint = "expected: code name E N h [sigma_E sigma_N sigma_h], code 0 to 3 (points in space)"
-            faults.append(lines.fault("this is no point in space", number, hint))
+            faults.append(lines.fault("this is not a point in space", number, hint))
             continue
         sigmas = [*fields[4:7], *[""] * 3][:3]
         known = [
@@ -79,7 +79,7 @@ def _observations(lines: TextLines) -> Imported:
             faults.append(lines.fault(f"'{fields[0]}' is not read", number, _READ))
         elif len(fields) < 5 or not all(map(is_number, fields[3:])):
             hint = "expected: code origin target value sigma [sigma_rel [h_origin h_target]]"
-            faults.append(lines.fault("this is no observation", number, hint))
+            faults.append(lines.fault("this is not an observation", number, hint))
         elif fields[0].startswith("-") or float(fields[4]) < 0:
             idle += 1
         else:

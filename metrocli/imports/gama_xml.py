@@ -39,7 +39,7 @@ INSTRUMENT = "TS1"
 Element = ElementTree.Element
 
 
-def files(lines: TextLines, wishes: ImportOptions) -> Imported:
+def files(lines: TextLines, options: ImportOptions) -> Imported:
     """Return readings.csv, stations.csv, points.csv and heights.csv; raises InputError that lists all faults."""
     try:
         root = _bare(ElementTree.fromstring("\n".join(lines.lines)))

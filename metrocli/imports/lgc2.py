@@ -86,7 +86,7 @@ class _NetworkFile:
             if key.startswith("*"):
                 self._keyword(number, key, words[1:])
             elif self.begun and not self._row(number, words):
-                self.faults.append(self.lines.fault(f"this is no line of {self.section}", number, _READ))
+                self.faults.append(self.lines.fault(f"this is not a line of {self.section}", number, _READ))
         if not self.begun:
             text = "without *INSTR this is the older layout of LGC1"
             self.faults.append(self.lines.fault(text, hint="LGC2 writes *INSTR before its points"))
@@ -114,7 +114,7 @@ class _NetworkFile:
         flags, own = self._flags(number, words[2:]), self.instruments.get(words[1], _Instrument("", 0.0, 0.0, 0.0))
         if words[1] not in self.instruments:
             hint = "*INSTR lists it as *POLAR, with its targets"
-            self.faults.append(self.lines.fault(f"'{words[1]}' is no instrument of this file", number, hint))
+            self.faults.append(self.lines.fault(f"'{words[1]}' is not an instrument of this file", number, hint))
         if "IHFIX" not in flags:
             hint = "write IHFIX and IH with its height, or name the point of the instrument itself"
             self.faults.append(self.lines.fault("the height of the instrument is an unknown of LGC2", number, hint))
@@ -142,7 +142,7 @@ class _NetworkFile:
         target = flags.get("TRGT", self.setups[-1].instrument.default)
         known = self.setups[-1].instrument.targets
         if known and target not in known:
-            text = f"'{target}' is no target of the instrument"
+            text = f"'{target}' is not a target of the instrument"
             self.faults.append(self.lines.fault(text, number, "*POLAR lists its targets"))
         return True
 
@@ -229,7 +229,7 @@ def _rows(lines: TextLines) -> Iterator[tuple[int, list[str]]]:
             yield number, words
 
 
-def files(lines: TextLines, wishes: ImportOptions) -> Imported:
+def files(lines: TextLines, options: ImportOptions) -> Imported:
     """Return points.csv, stations.csv and readings.csv; raises InputError that lists all faults."""
     reader = _NetworkFile(lines)
     reader.read()

@@ -56,7 +56,7 @@ def must_be_length(unit: str) -> None:
     if not unit:
         raise UsageError(f"the file does not state the unit of its lengths: give it by --unit, one of {listed(known)}")
     if unit not in known:
-        raise UsageError(f"--unit {unit} is no unit of length: {suggestion(unit, known)}")
+        raise UsageError(f"--unit {unit} is not a unit of length: {suggestion(unit, known)}")
 
 
 NOTE = "# note: "

@@ -26,7 +26,7 @@ Element = ElementTree.Element
 Row = tuple[str, ...]
 
 
-def files(lines: TextLines, wishes: ImportOptions) -> Imported:
+def files(lines: TextLines, options: ImportOptions) -> Imported:
     """Return observations.csv, and targets.csv where markers have places and their unit is given.
 
     Raises UsageError for an unknown unit, InputError that lists all faults of the file.
@@ -54,7 +54,7 @@ def files(lines: TextLines, wishes: ImportOptions) -> Imported:
     header = ("image", "target", "u_px", "v_px")
     texts = {"observations.csv": to_csv(header, rows, origin, notes if predicted else ())}
     places = [row for row in _places(root) if row[0] in {target for _, target, *_ in rows}]
-    return texts | ({"targets.csv": _targets(places, wishes.unit, origin)} if places and wishes.unit else {})
+    return texts | ({"targets.csv": _targets(places, options.unit, origin)} if places and options.unit else {})
 
 
 @dataclass(frozen=True)

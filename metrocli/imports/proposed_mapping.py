@@ -59,7 +59,7 @@ class _EqualRows:
 
     @property
     def numbers(self) -> int:
-        """How many cells are numbers; a single cell a row, or a single row after others, is no table."""
+        """How many cells are numbers; a single cell a row, or a single row after others, is not a table."""
         counts = [sum(map(_is_number, cells)) for _, cells in self.rows]
         table = len(self.rows[-1][1]) > 1 and (self.whole or sum(map(bool, counts)) > 1)
         return sum(counts) if table else 0
@@ -68,7 +68,7 @@ class _EqualRows:
 def proposed(lines: TextLines) -> str:
     """Return a mapping file that names what a table looks like, for a person to complete.
 
-    Raises InputError for a file that is no table.
+    Raises InputError for a file that is not a table.
     """
     plain = list(lines.without("#"))
     if not plain:
@@ -81,7 +81,7 @@ def proposed(lines: TextLines) -> str:
     table = max((_longest(sign, plain) for sign in SEPARATORS.values()), key=lambda rows: (rows.numbers, rows.whole))
     if not table.numbers:
         hint = "expected rows with the same number of cells, separated by comma, semicolon, tab or space"
-        raise InputError([lines.fault("this is no table of numbers", plain[0][0], hint)])
+        raise InputError([lines.fault("this is not a table of numbers", plain[0][0], hint)])
     first = next(place for place, (_, cells) in enumerate(table.rows) if any(map(_is_number, cells)))
     data, names = table.rows[first:], table.rows[first - 1][1] if first else ()
     before = [(n, line) for n, line in plain if n < table.rows[0][0] and not names]

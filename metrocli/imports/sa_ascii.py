@@ -17,9 +17,9 @@ _COMMENT = "//"
 _HINT = "expected: [[Collection] Group] Target x y z, exported without uncertainties, times or offsets"
 
 
-def files(lines: TextLines, wishes: ImportOptions) -> Imported:
+def files(lines: TextLines, options: ImportOptions) -> Imported:
     """Return points.csv; raises UsageError without a unit, InputError that lists all faults of the lines."""
-    must_be_length(wishes.unit)
+    must_be_length(options.unit)
     names, places, faults = [], [], list[Fault]()
     for number, line in lines.without(_COMMENT):
         cells = [cell.strip() for cell in line.split(",")] if "," in line else line.split()
@@ -36,7 +36,7 @@ def files(lines: TextLines, wishes: ImportOptions) -> Imported:
         faults.append(lines.fault(f"the point '{name}' is there {count} times", None, "give each point its own name"))
     if faults:
         raise InputError(shortened(faults))
-    header = ("point", *(f"{axis}_{wishes.unit}" for axis in "xyz"))
+    header = ("point", *(f"{axis}_{options.unit}" for axis in "xyz"))
     rows = [(name, *place) for name, place in zip(shown, places, strict=True)]
     return {"points.csv": to_csv(header, rows, f"from {lines.file} (sa-ascii)")}
 

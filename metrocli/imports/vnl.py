@@ -18,7 +18,7 @@ _WANTED = ("filename", "x", "y")
 _LEVEL = "level"
 
 
-def files(lines: TextLines, wishes: ImportOptions) -> Imported:
+def files(lines: TextLines, options: ImportOptions) -> Imported:
     """Return observations.csv; raises InputError that lists all faults of the lines."""
     remarks = ((n, line) for n, line in enumerate(lines.lines, 1) if line.startswith("#"))
     legend = next((remark for remark in remarks if not remark[1].startswith(("##", "#!"))), None)

@@ -213,7 +213,7 @@ class Machine:
 
     @property
     def turns(self) -> bool:
-        """Whether it has rotary axes, so that its motion is no sum of displacements."""
+        """Whether it has rotary axes, so that its motion is not a sum of displacements."""
         return any(axis.location != SQUARENESS for axis in self.axes)
 
     @property

@@ -4,7 +4,8 @@
   `own_effects` and `ranges`, which lists all faults at once
 - a project: `steps` (order) -> `staleness` by `fingerprint` -> `pipeline` -> `running` (who computes)
 - one job: `runner` reads `inputs`, runs the task, judges `requirements` (criteria, tolerances), and writes the result
-- other commands: `diagnosed`, `until_clean`, `planned`, `simulated`; `provenance` looks back from a result
+- other commands: `diagnosed` (by `adjuster`), `until_clean`, `planned`, `simulated`; `provenance` looks back from a
+  result
 """
 
 PROJECT_FILE = "metrocli.yaml"

@@ -44,7 +44,7 @@ class JobFile:
     """The text of the job as used, after --set."""
     root: Node
     effects: tuple[RequestedEffect, ...] = ()
-    wishes: JobOptions = field(default_factory=lambda: JobOptions())
+    options: JobOptions = field(default_factory=lambda: JobOptions())
     """What the command line asked for when it was loaded"""
     own: UserEffects = field(default_factory=UserEffects)
     """User-defined effects, which extend the table of the kind"""
@@ -57,7 +57,7 @@ class JobFile:
     @property
     def stated_in(self) -> tuple[Path, ...]:
         """The files that state the job: its own, the list of its part, and a project that names effects for it."""
-        parts = self.wishes.part.list if self.wishes.part is not None else None
+        parts = self.options.part.list if self.options.part is not None else None
         return tuple(path for path in (self.file, parts.path if parts else None, self.own.project) if path is not None)
 
     @property
@@ -74,7 +74,7 @@ class JobFile:
     @property
     def accept_doubtful(self) -> bool:
         """Whether results that are doubtful, or do not meet their requirements, are accepted as inputs."""
-        return self.wishes.accept_doubtful
+        return self.options.accept_doubtful
 
     @property
     def kind(self) -> str:
@@ -84,7 +84,7 @@ class JobFile:
     @property
     def stem(self) -> str:
         """Its name in those of files made from it."""
-        return stem_of(self.file, self.wishes.part)
+        return stem_of(self.file, self.options.part)
 
     @property
     def folder(self) -> Path:
@@ -120,18 +120,18 @@ class JobOptions:
         return replace(self, made=(), files=YamlFiles(), part=self.part and replace(self.part, list=None))
 
 
-def load(path: Path, wishes: JobOptions | None = None) -> JobFile:
+def load(path: Path, options: JobOptions | None = None) -> JobFile:
     """Return a job; the path `JOB.yaml[PART]` names one part of a job for many.
 
     Raises InputError with all faults of the file and its YAML inputs, UsageError if the job is of another kind.
     """
-    wishes = wishes or JobOptions()
-    path, wishes, faults = *_named(path, wishes), list[Fault]()
-    root, text = _stated(path, wishes, faults)
-    read = _read(root, path, wishes, faults)
-    read, requests, own = _with_effects(read, path, wishes, faults)
-    inputs, output = _checked(read, requests, path, wishes, faults)
-    return JobFile(path, read.heading, read.settings, inputs, output, text, root, requests, wishes, own)
+    options = options or JobOptions()
+    path, options, faults = *_named(path, options), list[Fault]()
+    root, text = _stated(path, options, faults)
+    read = _read(root, path, options, faults)
+    read, requests, own = _with_effects(read, path, options, faults)
+    inputs, output = _checked(read, requests, path, options, faults)
+    return JobFile(path, read.heading, read.settings, inputs, output, text, root, requests, options, own)
 
 
 @dataclass(frozen=True)
@@ -147,22 +147,22 @@ class _ReadJob:
     inputs: tuple[Input, ...]
 
 
-def _stated(path: Path, wishes: JobOptions, faults: list[Fault]) -> tuple[Node, str]:
+def _stated(path: Path, options: JobOptions, faults: list[Fault]) -> tuple[Node, str]:
     """Return the tree and the text of a job as it is used: with what the command line overrides, for its part."""
-    root, text = _root(path, wishes, faults)
-    if wishes.part is not None:
-        root = bound(root, wishes.part)
-        text = yaml_text.emit(root, f"{path.name}, for {wishes.part.name}")
+    root, text = _root(path, options, faults)
+    if options.part is not None:
+        root = bound(root, options.part)
+        text = yaml_text.emit(root, f"{path.name}, for {options.part.name}")
     elif root.get(CAMPAIGN) is not None:
         hint = f"name one part: '{path}[PART]', in quotes; or list the job in metrocli.yaml, and use: metrocli run"
         raise InputError([root.at(CAMPAIGN).fault("this file is a job for each of many parts", hint)])
     return root, text
 
 
-def _read(root: Node, path: Path, wishes: JobOptions, faults: list[Fault]) -> _ReadJob:
+def _read(root: Node, path: Path, options: JobOptions, faults: list[Fault]) -> _ReadJob:
     """Return what the keys of a job say; raise InputError if its kind is not known."""
-    more = tuple(effect_node(effect, path.parent) for effect in wishes.effects)
-    kind = _kind(root, path, wishes)
+    more = tuple(effect_node(effect, path.parent) for effect in options.effects)
+    kind = _kind(root, path, options)
     if kind is None:
         known = tuple(entry for entry in root.entries if entry[0].text in settings_of(Heading))
         read_sections(replace(root, entries=known), (Heading,), faults)
@@ -174,13 +174,13 @@ def _read(root: Node, path: Path, wishes: JobOptions, faults: list[Fault]) -> _R
 
 
 def _with_effects(
-    job: _ReadJob, path: Path, wishes: JobOptions, faults: list[Fault]
+    job: _ReadJob, path: Path, options: JobOptions, faults: list[Fault]
 ) -> tuple[_ReadJob, tuple[RequestedEffect, ...], UserEffects]:
     """Return a job that reads the columns of its user-defined effects, the effects that it wants, and its own."""
     task, files = tasks.KINDS[job.kind].task(), [(item.spec, item.paths) for item in job.inputs]
     further = cache(lambda: columns.variables(files, numeric))
     places = cache(lambda: columns.with_variables(task.places, further(), columns.refused(files, numeric)))
-    defining = Defining(job.kind, path, places, wishes.files, effects.names_of(job.named))
+    defining = Defining(job.kind, path, places, options.files, effects.names_of(job.named))
     own = UserEffects() if job.heading is BAD else own_effects(job.heading, defining, faults)
     if any(effect.definition for effect in own.effects):
         specs = [replace(item, spec=columns.reading(item.spec, further(), own.effects)) for item in job.inputs]
@@ -216,7 +216,7 @@ def _variance_groups(job: _ReadJob, task: Task[Any, Any], faults: list[Fault]) -
 
 
 def _checked(
-    job: _ReadJob, requests: tuple[RequestedEffect, ...], path: Path, wishes: JobOptions, faults: list[Fault]
+    job: _ReadJob, requests: tuple[RequestedEffect, ...], path: Path, options: JobOptions, faults: list[Fault]
 ) -> tuple[tuple[Input, ...], Path]:
     """Return the inputs within the ranges of the job, and its output; raise InputError with all faults."""
     heading, inputs = job.heading, job.inputs
@@ -228,62 +228,62 @@ def _checked(
     if heading is not BAD and heading.ranges:
         ranges = ranges_of(heading.ranges, [item.spec for item in inputs], faults)
         inputs = tuple(replace(item, spec=within(item.spec, ranges)) for item in inputs)
-    faults.extend(missing(inputs, wishes.not_needed, wishes.made))
+    faults.extend(missing(inputs, options.not_needed, options.made))
     if faults:
         raise InputError(_in_order(faults))
-    output = wishes.output or heading.output or path.parent / "results" / f"{stem_of(path, wishes.part)}.h5"
+    output = options.output or heading.output or path.parent / "results" / f"{stem_of(path, options.part)}.h5"
     if os.path.realpath(output) in {os.path.realpath(file) for item in inputs for file in item.paths}:
         raise InputError([job.root.at("output").fault(f"the output {output} is one of the inputs", "name another one")])
     return inputs, output
 
 
-def load_parts(path: Path, wishes: JobOptions) -> list[JobFile]:
+def load_parts(path: Path, options: JobOptions) -> list[JobFile]:
     """Return the job of a file, or one for each part if it is for many; raises as `load`."""
-    path, wishes = _named(path, wishes)
-    parts = () if wishes.part else parts_of(_root(path, wishes, [])[0])
-    return [load(path, replace(wishes, part=part)) for part in parts] or [load(path, wishes)]
+    path, options = _named(path, options)
+    parts = () if options.part else parts_of(_root(path, options, [])[0])
+    return [load(path, replace(options, part=part)) for part in parts] or [load(path, options)]
 
 
 def kind_of_job(path: Path) -> str | None:
     """Return the kind of a job file, or None if it names no known kind."""
-    path, wishes = _named(path, JobOptions())
-    return _kind(_root(path, wishes, [])[0], path, wishes)
+    path, options = _named(path, JobOptions())
+    return _kind(_root(path, options, [])[0], path, options)
 
 
-def _named(path: Path, wishes: JobOptions) -> tuple[Path, JobOptions]:
+def _named(path: Path, options: JobOptions) -> tuple[Path, JobOptions]:
     """Return the file of a job, and the options with the part that its path names."""
-    file, part = named_part(path, lambda file: _root(file, wishes, [])[0])
-    return file, replace(wishes, part=part or wishes.part)
+    file, part = named_part(path, lambda file: _root(file, options, [])[0])
+    return file, replace(options, part=part or options.part)
 
 
-def _root(path: Path, wishes: JobOptions, faults: list[Fault]) -> tuple[Node, str]:
+def _root(path: Path, options: JobOptions, faults: list[Fault]) -> tuple[Node, str]:
     """Return the tree of a job file with the overrides applied, and the equivalent YAML text.
 
     A fault for each repeated key is added to `faults`.
     """
-    if wishes.text is None:
-        held = wishes.files.read(path)
+    if options.text is None:
+        held = options.files.read(path)
         root, text = held.root, held.text
         faults.extend(held.repeated)
     else:
-        text = wishes.text
+        text = options.text
         root = yaml_text.parse(text, str(path), path.parent, faults)
     if root.kind != "mapping":
         raise InputError([root.fault("a job file must be a mapping of keys", "write 'metrocli: 1', 'job: KIND', ...")])
-    for override in wishes.overrides:
+    for override in options.overrides:
         root = overridden(root, override, path.parent)
-    if wishes.overrides:
-        used = ", ".join(f"--set {override}" for override in wishes.overrides)
+    if options.overrides:
+        used = ", ".join(f"--set {override}" for override in options.overrides)
         text = yaml_text.emit(root, f"as used, with {used}")
     return root, text
 
 
-def _kind(root: Node, path: Path, wishes: JobOptions) -> str | None:
+def _kind(root: Node, path: Path, options: JobOptions) -> str | None:
     """Return the kind of a job, or None if it is unknown; raise UsageError if it is not the one that is asked for."""
     node = root.get("job")
     kind = node.text if node is not None and node.kind == "scalar" and node.text in tasks.KINDS else None
-    if kind is not None and wishes.kind not in (None, kind):
-        job = f'"{path}[{wishes.part.name}]"' if wishes.part else path
+    if kind is not None and options.kind not in (None, kind):
+        job = f'"{path}[{options.part.name}]"' if options.part else path
         raise UsageError(f"{path} is a job of the kind {kind}; use: metrocli {kind} {job}")
     return kind
 

@@ -24,7 +24,7 @@ def overridden(root: Node, override: str, folder: Path) -> Node:
     names = key.strip().split(".")
     if not equals or not all(names):
         raise UsageError(f"--set {override}: write it as key.path=value, such as --set output=other.h5")
-    # a condition such as > 0.5 is no block of YAML
+    # a condition such as > 0.5 is not a block of YAML
     text = f"'{value}'" if value.startswith(">") and "'" not in value else value or "~"
     new = yaml_text.parse(text, f"--set {override}", folder)
     return with_paths(_replaced(root, names, without_lines(new)))
@@ -100,7 +100,7 @@ class Ranges:
 
 
 def ranges_of(wanted: Mapping[str, Node], specs: Iterable[Any], faults: list[Fault]) -> dict[str, units.Range]:
-    """Return the ranges of columns; a fault is added for each name that no file has and each size that is no size."""
+    """Return the ranges of columns; each name that no file has and each size that is not a size becomes a fault."""
     tables = [spec for spec in specs if isinstance(spec, TableFile)]
     columns = {column.name: column.dimension for spec in tables for column in spec.columns.columns}
     columns = {name: dimension for name, dimension in columns.items() if dimension in units.DIMENSIONS}
@@ -126,7 +126,7 @@ def ranges_of(wanted: Mapping[str, Node], specs: Iterable[Any], faults: list[Fau
 
 
 def within(spec: Any, ranges: Mapping[str, units.Range]) -> Any:
-    """Return the specification of an input with the ranges of its columns; what is no table is unchanged."""
+    """Return the specification of an input with the ranges of its columns; what is not a table is unchanged."""
     if not isinstance(spec, TableFile) or not ranges:
         return spec
     columns = tuple(replace(column, allowed=ranges.get(column.name)) for column in spec.columns.columns)

@@ -183,7 +183,7 @@ def _with_other_setting(
     if mistaken is None:
         return result
     (wrong,) = mistaken.mistakes
-    doubt = f"{wrong}: read so, {mistaken.gain}; write {wrong.write}"
+    doubt = f"{wrong}: with this corrected, {mistaken.gain}; write {wrong.write}"
     return replace(result, doubts=(*result.doubts, doubt))
 
 

@@ -29,7 +29,7 @@ class Staleness:
     label: Label | None = None
     """Of the result, if there is one that can be believed"""
     waits: bool = False
-    """Whether the step cannot run: a result that it uses is not fit for use, or its output is no result of its own"""
+    """Whether the step cannot run: a result that it uses is not fit for use, or its output is not its own result"""
     depends: bool = False
     """Whether the step runs only if a job that runs before gives another result; `reason` names that job"""
 

@@ -69,8 +69,8 @@ def load_project(place: Path, accept_doubtful: bool = False) -> tuple[ProjectSte
     made = {absolute(output) for job in listed if (output := _peek_output(job)) is not None}
     jobs: dict[str, JobFile] = {}
     for step in listed:
-        wishes = JobOptions(made=made, accept_doubtful=accept_doubtful, part=step.part, files=files)
-        _load_one(step, wishes, jobs, faults)
+        options = JobOptions(made=made, accept_doubtful=accept_doubtful, part=step.part, files=files)
+        _load_one(step, options, jobs, faults)
     makers = _makers(listed, jobs, faults)
     if faults:
         raise InputError(faults)
@@ -134,12 +134,12 @@ def _peek_output(job: _Listed) -> Path | None:
         return None
 
 
-def _load_one(job: _Listed, wishes: JobOptions, jobs: dict[str, JobFile], faults: list[Fault]) -> None:
+def _load_one(job: _Listed, options: JobOptions, jobs: dict[str, JobFile], faults: list[Fault]) -> None:
     if not job.path.is_file():
         faults.append(job.node.fault(f"no such job file: {job.path}"))
         return
     try:
-        jobs[job.name] = load(job.path, wishes)
+        jobs[job.name] = load(job.path, options)
     except InputError as error:
         # jobs of several parts share the faults of their file; the last ones only,
         # so that many jobs take no square of time

@@ -205,5 +205,5 @@ def _plain(path: Path, node: Node) -> Path:
         if ".." in path.parts and not os.path.samefile(path, plain):
             there = os.path.realpath(path)
             message = f"{node.path}: '{node.text}' leads through a link to {there}, without it to {plain}"
-            raise InputError([node.fault(message, "name one of the two without '..' behind a link")])
+            raise InputError([node.fault(message, "name the file that is meant by a path without '..'")])
     return plain

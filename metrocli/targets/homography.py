@@ -7,7 +7,7 @@ import numpy as np
 from metrocli.arrays import Array
 
 _ON_A_LINE = 1e-6
-"""Smallest singular value of a homography, relative to the largest, that is no rounding"""
+"""Smallest singular value of a homography, relative to the largest, that is not a rounding error"""
 _DEGREE, _SMOOTH = 3, 10
 """Degree of the distortion of one image, and its coefficients in each image coordinate"""
 

@@ -70,7 +70,7 @@ def _marked(pattern: Pattern, picture: Picture, pictures: Sequence[Picture]) -> 
     if not name or sum(count_markers(other, name) >= FEWEST for other in pictures) <= _SHARE * len(pictures):
         return ""
     if not are_among_squares(picture, name):
-        return f"markers of {name} with no squares between them: a grid of markers is no board of `pattern`"
+        return f"markers of {name} with no squares between them: a grid of markers is not a board of `pattern`"
     if pattern.type == "charuco":
         return other_layout(pattern, picture, name) or f"markers of {name}: check columns and rows"
     return f"markers of {name}: is it type: charuco, dictionary: {name}?"

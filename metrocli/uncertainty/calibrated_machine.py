@@ -68,7 +68,7 @@ def outside(result: Result, commanded: Table, key: str = "point", rows: Index | 
 
 
 def _machine(result: Result) -> Machine:
-    """Return the machine of a result; raises InputError for one with rotary axes, whose motion is no sum of tables."""
+    """Return the machine of a result; raises InputError for rotary axes, whose motion is not a sum of tables."""
     if "rotary_axes" in result.tables:
         raise InputError("a machine with rotary axes: only machines with three linear axes are predicted here")
     axes, entries = result.tables["axes"], result.tables[ENTRIES]

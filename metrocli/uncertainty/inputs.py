@@ -154,7 +154,7 @@ def _must_be_semi_definite(covariance: Array, names: Sequence[str]) -> None:
         return
     correlation = covariance[np.ix_(moving, moving)] / std[moving][:, None] / std[moving]
     values, vectors = np.linalg.eigh(correlation)
-    # a thousand times the bound of `factor`: stated correlations have few digits, and rounding them is no contradiction
+    # a thousand times the bound of `factor`: stated correlations have few digits, and rounded ones do not contradict
     if values[0] < -1e3 * CLIP * max(values[-1], 1.0):
         weight = np.abs(vectors[:, 0])
         involved = moving[np.flatnonzero(weight > 0.1 * weight.max())]

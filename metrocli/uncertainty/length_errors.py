@@ -62,7 +62,7 @@ def permitted(text: str) -> Permitted:
     except units.QuantityError as error:
         raise UsageError(f"--mpe '{text}': {error.message}; write e.g. '1.5 um + 3 um/m'") from error
     if len(parts) > 2 or constant < 0 or proportional < 0 or constant + proportional == 0:
-        raise UsageError(f"--mpe '{text}' is no maximum permissible error: write e.g. '1.5 um + 3 um/m' or '2 um'")
+        raise UsageError(f"--mpe '{text}' is not a maximum permissible error: write e.g. '1.5 um + 3 um/m' or '2 um'")
     return Permitted(constant, proportional)
 
 

@@ -62,7 +62,7 @@ def repetition(results: Sequence[Result]) -> Repetition:
     """
     kinds = sorted({result.kind for result in results})
     if len(kinds) > 1:
-        raise InputError(f"results of different kinds are no repeated sets: {', '.join(kinds)}")
+        raise InputError(f"results of different kinds are not repeated sets: {', '.join(kinds)}")
     quantities = (*_estimates(results), *_lengths(results), *_points(results))
     if not quantities:
         raise InputError("the results have nothing in common: no estimate, test length or point of the same name")

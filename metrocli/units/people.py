@@ -92,6 +92,11 @@ def two_digits(value: float) -> str:
     return f"{float(f'{value:.2g}'):g}" if math.isfinite(value) else NOT_DETERMINED
 
 
+def chance(p: float) -> str:
+    """Return a probability as `p = 0.012`; below 1e-12 its size means nothing."""
+    return "p < 1e-12" if p < 1e-12 else f"p = {p:.2g}"
+
+
 def sized(value: float, dimension: str) -> str:
     """Return a quantity to two digits in the unit that suits its size, for sentences: "0.21 um"."""
     size, symbol = readable(value, dimension)

@@ -138,7 +138,7 @@ def test_of_equally_good_corrections_that_of_the_fewest_columns_is_first(
     path.write_text("\n".join(",".join(row) for row in [head, *rows]) + "\n")
     ran = metrocli("locate-launch-unit", tmp_path / "unit" / "jobs" / "table.yaml")
     assert ran.code == 3
-    assert "distance_mm is in m: read so" in ran.err
+    assert "distance_mm is in m: with this corrected" in ran.err
     assert "write distance_m in the heading; as good" in ran.err
 
 

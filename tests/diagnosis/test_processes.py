@@ -167,7 +167,7 @@ def test_a_little_beside_the_effects_of_an_extended_job_is_explained() -> None:
 
 
 def test_a_little_beside_a_stated_smooth_error_alone_is_not_explained() -> None:
-    """The job has no effect: what it states over the temperature is no cause of what varies with the time."""
+    """The job has no effect: what it states over the temperature is not a cause of what varies with the time."""
     rng = np.random.default_rng([77, 20])
     m = lengths.measurement(rng, 100)
     off = rng.uniform(0.45, 0.54) * of_each(rng, m.t[:, None], m.tracer)[0] * m.sigma
@@ -308,7 +308,7 @@ def test_the_size_of_a_process_is_that_of_the_readings_that_have_it(station: int
 
 
 def test_what_wavers_in_another_unit_than_the_misfit_is_no_small_share_of_it() -> None:
-    """Beside an encoder that is named, errors of distances are left: they are no urad, and not 0 % of those."""
+    """Beside an encoder that is named, errors of distances are left: they are not urad, and not 0 % of those."""
     found = with_wavering_distances("encoder-eccentricity")
     assert found.findings and found.left is not None
     assert found.verdict == Verdict.UNEXPLAINED and found.left.share is None

@@ -112,7 +112,7 @@ def test_poses_in_metres_under_millimetres_are_refused(
     assert ran.code == 3, ran.err
     assert "data/table.csv: error: " in ran.err
     # nothing distinguishes which of the two is wrong; numbers of a larger unit than their heading are likelier
-    assert "x_um, y_um and z_um are in mm: read so" in ran.err
+    assert "x_um, y_um and z_um are in mm: with this corrected" in ran.err
     assert "as good: data/table.csv: distance_mm is in um" in ran.err
 
 

@@ -293,7 +293,7 @@ def test_the_nearest_model_differs_as_stated(program: str, name: str, within: fl
 def test_what_no_model_holds_is_refused_with_its_difference() -> None:
     with pytest.raises(InputError, match=r"no model of kalibr is within 0.05 px of this lens; the nearest is \w+: rms"):
         written("kalibr", "rational")
-    with pytest.raises(InputError, match="no camera"):
+    with pytest.raises(InputError, match="not a camera"):
         export("ros", Result("multilaterate", "", (), np.zeros((0, 0)), {}))
 
 
@@ -321,8 +321,8 @@ METASHAPE = "<calibration><projection>{}</projection><width>640</width><height>4
         ("1 FOV 640 480 500 320 240 0.1\n", "the model FOV of colmap is not known here"),
         ("1 OPENCV 640 480 500 320 240 0.1\n", "4 parameters"),
         (GOOD_COLMAP * 2, "camera 1 stands twice"),
-        (GOOD_COLMAP.replace("500 500", "6.1 6.1"), "fx = 6.1 is no focal length in pixels"),
-        (GOOD_COLMAP.replace("320", "0.5"), "is no principal point in pixels"),
+        (GOOD_COLMAP.replace("500 500", "6.1 6.1"), "fx = 6.1 is not a focal length in pixels"),
+        (GOOD_COLMAP.replace("320", "0.5"), "is not a principal point in pixels"),
         (GOOD_COLMAP.replace("0.1", "nan"), "not a number: k1 = 'nan'"),
         ("image_width: 640\nimage_height: 480\n", "the file lacks camera_matrix with 9 numbers, distortion_coeff"),
         ("image_width: 640\ncamera_matrix:\n  data: [1]\n", "the file lacks image_height, camera_matrix"),
@@ -336,7 +336,7 @@ METASHAPE = "<calibration><projection>{}</projection><width>640</width><height>4
         (METASHAPE.format("spherical", "<f>500</f>"), "the model spherical of metashape is not known"),
         ("<calibration><f>500</calibration>\n", "this is not XML"),
         ("x = cameraIntrinsics(f, c, s)\n", "the file lacks focalLength"),
-        ("nothing of a camera\n", "this is no camera of another program"),
+        ("nothing of a camera\n", "this is not a camera of another program"),
     ],
 )
 def test_what_is_missing_or_in_other_units_is_refused(text: str, words: str) -> None:

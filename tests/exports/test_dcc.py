@@ -201,7 +201,7 @@ RECORDS = {
     "evil": replace(RECORD, certificate=evil(CERTIFICATE)),
 }  # fmt: skip
 DATA = "METROCLI_DCC_SCHEMA"
-"""The variable with the folder of dcc.xsd and of the files that it imports, which are no part of the project"""
+"""The variable with the folder of dcc.xsd and of the files that it imports, which are not part of the project"""
 
 
 @pytest.fixture(scope="module")
@@ -528,7 +528,7 @@ def test_all_that_is_missing_is_listed_at_once() -> None:
     assert len(error.value.faults) == 10 + 1 + 1
     text = str(error.value)
     assert "item: serial is missing" in text and "number is missing" not in text
-    assert "data/z.csv is no input" in text and "data/a.csv, data/b.csv" in text and "the unit bar" in text
+    assert "data/z.csv is not an input" in text and "data/a.csv, data/b.csv" in text and "the unit bar" in text
 
 
 @pytest.mark.parametrize(

@@ -187,7 +187,7 @@ HARMFUL = {
 
 @pytest.mark.parametrize("change", HARMFUL, ids=lambda change: change.__name__)
 def test_a_file_made_to_harm_is_refused(change: Callable[[h5py.File], None], tmp_path: Path) -> None:
-    """The seal is no secret: what is behind it is checked as well."""
+    """The seal is not a secret: what is behind it is checked as well."""
     path = written(tmp_path)
     (path.parent / "secret.txt").write_text("forty letters that nobody else shall see")
     with h5py.File(path.parent / "secret.h5", "w") as file:

@@ -319,7 +319,7 @@ distortion_model: plumb_bob
 distortion_coefficients: {rows: 1, cols: 4, data: [-0.1, 0.2, 0.5, -0.6]}
 """
 CORRECTED = [
-    Row("read so, the job has a solution that fits, which it has not as it stands ({})", "five-axis", AXES, {"data/after.csv": then(times(0.0174532925, "a_deg", "c_deg"))},
+    Row("with this corrected, the job has a solution that fits, which it does not have as it stands ({})", "five-axis", AXES, {"data/after.csv": then(times(0.0174532925, "a_deg", "c_deg"))},
         {"data/after.csv": times(0.3, "c_deg")}, "error", slow=True),
     Row("is it in degrees? then write {}_deg", "five-axis", AXES, {"data/after.csv": put("a_deg", "a_rad")}, {"data/after.csv": put("-32.546", "-32546")}, "if it is right, allow it"),
     Row("few degrees of freedom", "budget", "report-uncertainty job.yaml", {"job.yaml": whole(budget("a*b", "3", "1e-5"))}, {"job.yaml": whole(budget("a/b", std="0.2"))}, "a pole near the value"),
@@ -346,7 +346,7 @@ ELSEWHERE = {
     "{} and {} with the other sign": ((REFUSED, "test_each_correction_undoes_its_mistake"), FITTING),
     "{} for {} and {} for {} in the headings, {} with the other sign": (
         (REFUSED, "test_each_correction_undoes_its_mistake"), FITTING),
-    "read so, the readings fit {} times better (ratio of squared misfits)": (
+    "with this corrected, the readings fit {} times better (ratio of squared misfits)": (
         (REFUSED, "test_a_mirrored_list_is_refused"), FITTING),
     "{} and {} are exchanged at station {}": (
         (OF_NETWORKS, "test_exchanged_points_are_proposed_at_their_station"), RIGHT),
@@ -359,11 +359,11 @@ ELSEWHERE = {
     "{} {} times {}": (
         (MISTAKES, "test_rows_in_another_unit_are_named"),
         ("tasks/calibrate_machine/test_channels.py", "test_a_line_with_large_errors_is_in_no_other_unit")),
-    "{}: read so, {}; write {}": (
+    "{}: with this corrected, {}; write {}": (
         (OF_MACHINES, "test_a_wrong_setting_makes_the_result_doubtful"), SOUND),
     "; they fit {}: correct the name": (
         (BLUNDERS, "test_lengths_under_another_name_are_named"), (BLUNDERS, "test_no_name_is_offered_for_lengths_that_fit_no_point")),
-    "the poses of images {} and {} are exchanged: read so": (
+    "the poses of images {} and {} are exchanged: with this corrected": (
         (POSES, "test_both_images_are_named"), (POSES, "test_no_exchange_is_offered_where_none_mends_the_poses")),
     "the points are a mirror image of the part: mirrored, they lie {} mm from its surfaces": (
         (MISREAD, "test_a_mirror_image_that_fits_far_better_is_named"), (MISREAD, "test_right_coordinates_are_not_doubted")),

@@ -101,8 +101,8 @@ def test_colmap_and_opencv_state_cameras_without_a_unit() -> None:
     shift = 100 * (SHIFTS[1] - turn.apply(SHIFTS[0]))
     x, y, z, w = turn.as_quat().tolist()
     rigs = f"# RIG_ID ...\n1 2 CAMERA 1 CAMERA 2 1 {w} {x} {y} {z} {' '.join(map(repr, shift.tolist()))}\n"
-    wishes = ImportOptions(unit="cm", others=(lines("rigs.txt", rigs),))
-    must_be(files(lines("cameras.txt", texts.COLMAP), wishes)["rig.yaml"], "camera-2", 1)
+    options = ImportOptions(unit="cm", others=(lines("rigs.txt", rigs),))
+    must_be(files(lines("cameras.txt", texts.COLMAP), options)["rig.yaml"], "camera-2", 1)
     one = texts.FILESTORAGE.replace("%YAML:1.0\n", "").replace("camera_matrix", "M{0}").replace("dist_coeff", "D{0}")
     matrices = {"R": (3, 3, turn.as_matrix()), "T": (3, 1, shift)}
     pair = f"%YAML:1.0\n{one.format(1)}{one.format(2)}image_width: 640\nimage_height: 480\n" + "".join(
@@ -120,7 +120,7 @@ def test_poses_with_faults_are_refused() -> None:
             files(lines("their.txt", text), ImportOptions(others=others, unit="mm" if others else ""))
         return str(caught.value.faults)
 
-    assert "no rotation" in faults(chain(lambda matrix: in_rows(matrix * [1, 1, -1, 1])))
+    assert "not a rotation" in faults(chain(lambda matrix: in_rows(matrix * [1, 1, -1, 1])))
     assert "T_cn_cnm1 of cam1 has 12 numbers" in faults(chain(lambda matrix: in_rows(matrix[:3])))
     assert "the file has no pose of the camera cam2" in faults(chain(in_rows).rpartition("  T_cn_cnm1")[0])
     rigs = lines("rigs.txt", "1 2 CAMERA 1 CAMERA 7 1 1 0 0 0 5 0 0\n")

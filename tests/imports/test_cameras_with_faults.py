@@ -47,7 +47,7 @@ ABSENT = {
     "Metashape": r"<(cx|cy|k1|k2|p1|p2)>",  # Metashape writes only what is not 0
     "MATLAB": r"RadialDistortion",  # arguments by name are 0 where they are not given
 }
-"""Lines whose absence is no fault"""
+"""Lines whose absence is not a fault"""
 OPEN = {"camodocal", "camodocal, Kannala-Brandt", "COLMAP"}
 """Formats that nothing closes: a cut within the digits of the last number is not seen"""
 

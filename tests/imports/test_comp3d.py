@@ -65,8 +65,8 @@ def test_what_is_not_read_is_named(tmp_path: Path, metrocli: Metrocli) -> None:
     (tmp_path / "net.obs").write_text("7 A B 0 0.001 0.0001\n11 A @scan.xyz\n3 A\n")
     ran = metrocli("import", tmp_path / "net.obs", "--from", "comp3d")
     assert ran.code == 3
-    for words in ("'11' is not read", "this is no observation", "sigma_rel multiplies a distance"):
+    for words in ("'11' is not read", "this is not an observation", "sigma_rel multiplies a distance"):
         assert words in ran.err
     (tmp_path / "net.cor").write_text("4 A 1 2 3 0 0 0\n")
     ran = metrocli("import", tmp_path / "net.cor", "--from", "comp3d")
-    assert ran.code == 3 and "no point in space" in ran.err
+    assert ran.code == 3 and "not a point in space" in ran.err

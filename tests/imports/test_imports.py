@@ -206,7 +206,7 @@ def test_faults_have_file_and_row(folder: Path, metrocli: Metrocli, case: str) -
     ("arguments", "code", "expected"),
     [
         (("points.txt", "--from", "sa-ascii"), 2, "--unit"),
-        (("points.txt", "--from", "sa-ascii", "--unit", "inch"), 2, "--unit inch is no unit of length: "),
+        (("points.txt", "--from", "sa-ascii", "--unit", "inch"), 2, "--unit inch is not a unit of length: "),
         (("LT1.txt", "--from", "columns"), 2, "--map"),
         (("corners.vnl", "--from", "vnl", "--unit", "mm"), 2, "--from vnl takes no --unit"),
         (("points.txt", "--from", "sa-ascii", "--unit", "mm", "--map", "map.yaml"), 2, "takes no --map"),

@@ -60,9 +60,9 @@ def test_text_has_no_unit_and_no_row_is_lost(tmp_path: Path, metrocli: Metrocli)
     [
         ("<?xml version='1.0'?>\n<LandXML/>\n", "this is XML"),
         ('{"fx": 349.7}\n', "this is JSON"),
-        ("calib_time: 09-Jan\nS_00: 1392 512\nK_00: 984 0 690 0 980 233 0 0 1\n", "no table of numbers"),
-        (".UNITS METERS GONS\nC P1 1000 1000 100 ! ! !\nDB P1\n", "no table of numbers"),
-        ("Calibration results\n===================\n", "no table of numbers"),
+        ("calib_time: 09-Jan\nS_00: 1392 512\nK_00: 984 0 690 0 980 233 0 0 1\n", "not a table of numbers"),
+        (".UNITS METERS GONS\nC P1 1000 1000 100 ! ! !\nDB P1\n", "not a table of numbers"),
+        ("Calibration results\n===================\n", "not a table of numbers"),
         (
             "*410004+0000000000000021 42....+0000BP04\n*110015+000000000000BP03 21.322+0000000016901313\n",
             "GSI of Leica",

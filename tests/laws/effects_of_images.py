@@ -25,7 +25,7 @@ TAPER = np.array([[-2.1, 0.8, -320.0, 0.003, -0.002, 0.04]])
 
 
 def calibration(effect: Effect) -> Model:
-    """A board in eight views; for effects on a list of targets that is no board, points in space in eight views.
+    """A board in eight views; for effects on a list of targets that is not a board, points in space in eight views.
 
     What the effect frees is not free before; poses are known where the effect is the scale, which they would take in.
     """

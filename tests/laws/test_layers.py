@@ -42,7 +42,7 @@ LEVEL = {part: n for n, layer in enumerate(LAYERS) for part in layer}
 ALLOWED_WITHIN = {("__main__", "cli"), ("simulation", "imageset"), ("result", "record"), ("plan", "result")}
 NOT_FORMATS = {"exports", "plots", "report", "tasks", "diagnosis", "uncertainty", "instruments", "effects", "targets"}
 NOT_KINDS = {"__init__", "job", "kind", "shared"}
-"""In `tasks`: what is no kind of job"""
+"""In `tasks`: what is not a kind of job"""
 INSIDE = {
     "report": [{"result_page", "project_page"}, {"*"}, {"content", "html"}],
     "plots": [{"context"}, {"*"}, {"plotted_points", "readings", "style"}, {"noise_bands", "thinning", "magnify"}],

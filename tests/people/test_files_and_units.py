@@ -66,7 +66,7 @@ def test_a_job_file_with_two_byte_order_marks(case: Case, metrocli: Metrocli) ->
 
 
 def test_what_cancels_has_no_uncertainty(case: Case, metrocli: Metrocli) -> None:
-    """A/(A+B) + B/(A+B) is 1: rounding errors of derivatives and trials are no uncertainty."""
+    """A/(A+B) + B/(A+B) is 1: rounding errors of derivatives and trials are not an uncertainty."""
     case("15-rounding-as-uncertainty")
     ran = metrocli("report-uncertainty", "job.yaml", "--set", "monte_carlo.trials=20000", "--json")
     one = json.loads(ran.out)["estimates"]["one"]

@@ -115,7 +115,7 @@ def test_the_lineage_leads_from_left_to_right() -> None:
     [
         ("before-after", ResultContext(before=lengths(3.0)), ["of tracer T2, which changed most", "w (standard deviations)", "time (s)"]),
         ("held-out", ResultContext(diagnosis=diagnosis()), ["jump T2: +6.0 ± 4.6 (standard deviation) in all", "below two standard deviations", "better in 2 of 3 parts"]),
-        ("law", ResultContext(diagnosis=diagnosis()), ["t (s)", "law and residual (µm)", "A law is no cause."]),
+        ("law", ResultContext(diagnosis=diagnosis()), ["t (s)", "law and residual (µm)", "A law is not a cause."]),
         ("lineage", ResultContext(lineage=NODES), ["camera.h5", "calibrate-camera", "not fit for use (orange): points.csv."]),
     ],
 )  # fmt: skip

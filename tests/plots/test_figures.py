@@ -201,7 +201,7 @@ def test_axes_with_equal_units_leave_no_empty_room(name: str, result: Result) ->
 
 
 def test_readings_are_named_so_that_they_can_be_found() -> None:
-    """Balls by their place in the artefact, readings of a path by the commanded place; their coordinates are no lengths."""
+    """Balls by their place in the artefact, readings of a path by the commanded place; their coordinates are not lengths."""
     three = {"residual": np.ones(2), "normalised": np.ones(2)}
     grid = {
         "view": np.array(["1", "1"]),

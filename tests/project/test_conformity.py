@@ -82,7 +82,7 @@ def test_a_project_with_a_failing_part_is_not_green(parts: None, metrocli: Metro
 
 
 def test_check_judges_what_run_would_do(parts: None, metrocli: Metrocli) -> None:
-    """A doubtful result that `run` replaces is no fault; one that stays is."""
+    """A doubtful result that `run` replaces is not a fault; one that stays is."""
     first = JOB.replace("VALUE", "20.03").replace("tolerance: {D: [19.98 mm, 20.02 mm]}", 'require: {D: "< 20.02 mm"}')
     Path("20.03.yaml").write_text(first)
     Path("half.yaml").write_text(USER)

@@ -128,7 +128,7 @@ def test_monte_carlo_is_the_same_with_any_workers(workers: int, tmp_path: Path, 
 
 
 def test_the_standards_of_results_below_are_stated(project: Path, metrocli: Callable[..., Any]) -> None:
-    """The first job states certificates of its readings and of a standard that is no file; the second rests on both."""
+    """The first job states certificates of its readings and of a standard that is not a file; the second rests on both."""
     stated = "certificate: {references: {../readings.csv: PTB-1, ball plate: NPL-2}}\n"
     Path("jobs/first.yaml").write_text(FIRST + stated)
     own = "certificate: {references: {../more.csv: LAB-3, ball plate: NPL-9}}\n"

@@ -77,7 +77,7 @@ def test_a_grid_of_markers_is_no_charuco_board() -> None:
     grid = cv2.aruco.GridBoard((5, 4), 30.0, 6.0, markers).generateImage((600, 510), marginSize=30)
     board = cv2.aruco.CharucoBoard((6, 5), 30.0, 22.0, markers).generateImage((600, 510), marginSize=30)
     told = [likely_board(Pattern("chessboard", columns=9, rows=6, pitch=10.0), [seen] * 2) for seen in (grid, board)]
-    assert told[0] == "markers of 5x5_250 with no squares between them: a grid of markers is no board of `pattern`"
+    assert told[0] == "markers of 5x5_250 with no squares between them: a grid of markers is not a board of `pattern`"
     assert "type: charuco" in told[1]
 
 

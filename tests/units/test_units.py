@@ -59,7 +59,7 @@ def test_other_texts_are_refused_with_a_hint(text: str, dimension: str, message:
 
 
 def test_a_unit_with_another_prefix_is_no_slip() -> None:
-    """An offered unit would change the number by a power of ten: a nanoradian is no milliradian, a mPa s no mPa."""
+    """An offered unit would change the number by a power of ten: a nanoradian is not a milliradian, and a mPa s is not a mPa."""
     for dimension in units.DIMENSIONS.values():
         for word in (prefix + symbol for symbol in dimension.symbols for prefix in "YZEPTGMkhdcmunpfaz"):
             # Mm is so often typed for mm that the question is asked

@@ -72,7 +72,7 @@ class LinkContext:
         if lattice is not None and block not in self.observations.index:
             return lattice.spread(per_member, block)
         index = self.index(block)
-        # a chunk of readings uses few members of many
+        # a chunk of readings uses few members of many; "clip" skips the check of the indices, which are all within
         first, last = index.min(initial=len(per_member)), index.max(initial=-1)
         used = np.moveaxis(per_member[first : last + 1], 0, -1)
         chosen: Array = np.ascontiguousarray(used).take(index - first, axis=-1, mode="clip")
@@ -107,7 +107,7 @@ class Link(Protocol):
 
 
 _MANY = 6
-"""Rows of a derivative beyond which those that are zero are left out of a product"""
+"""Rows of a derivative beyond which those that are zero are left out of a product: a pose has six, all in use"""
 
 
 def through(outer: Array, inner: Array) -> Array:
@@ -158,11 +158,11 @@ class Chain:
         """
         links = self.links
         for effect in effects:
-            put = _put(links, effect)
-            if put is None:
+            inserted = _inserted(links, effect)
+            if inserted is None:
                 passed = ", ".join(quantity.value for quantity in self.quantities)
                 raise ValueError(f"{type(effect).__name__} cannot act here: the chain passes through {passed}")
-            links = put
+            links = inserted
         return Chain(links)
 
     def until(self, quantity: Quantity) -> Chain:
@@ -171,7 +171,7 @@ class Chain:
 
     def takes(self, effect: Link) -> bool:
         """Return whether an effect can be inserted into the chain."""
-        return _put(self.links, effect) is not None
+        return _inserted(self.links, effect) is not None
 
     def predict(self, blocks: Mapping[str, Block], observations: Observations) -> Array:
         """Return the predicted readings (d, n)."""
@@ -201,9 +201,10 @@ class Chain:
         for i in range(len(self.links) - 1, first - 1, -1):
             for name, inner in steps[i].by_block.items():
                 if name in wanted:
-                    part = _behind(outer, inner)
+                    part = _chained(outer, inner)
                     total[name] = total[name] + part if name in total else part
             by_input = steps[i].by_input
+            # nothing in front of the first link with a wanted block is differentiated
             if i > first and by_input is not None:
                 outer = by_input if outer is None else through(outer, by_input)
         return total
@@ -237,7 +238,7 @@ class Varied:
         """Return the link's step at the changed parameters; derivatives by the block pass through the effect."""
         shape = (local.blocks[self.block].size, local.observations.count)
         changed = self.effect.step(np.array(np.broadcast_to(local.rows(self.block), shape)), local)
-        step = self.link.step(value, self._seen(np.broadcast_to(changed.value, shape), local))
+        step = self.link.step(value, self._context(np.broadcast_to(changed.value, shape), local))
         by_block = dict(step.by_block)
         outer = by_block.pop(self.block, None)
         if outer is not None:
@@ -247,8 +248,8 @@ class Varied:
             by_block[self.block] = outer if changed.by_input is None else through(outer, changed.by_input)
         return replace(step, by_block={name: part for name, part in by_block.items() if name in local.wanted})
 
-    def _seen(self, values: Array, local: LinkContext) -> LinkContext:
-        """Return the surroundings of the link: one member of the block for each reading.
+    def _context(self, values: Array, local: LinkContext) -> LinkContext:
+        """Return the context of the link, in which the block has one member for each reading.
 
         All columns of the block have derivatives if those of the effect are wanted: they are needed for the chain rule.
         """
@@ -264,7 +265,7 @@ class Varied:
         return LinkContext({**local.blocks, self.block: each}, replace(observations, index=index), wanted)
 
 
-def _put(links: tuple[Link, ...], effect: Link) -> tuple[Link, ...] | None:
+def _inserted(links: tuple[Link, ...], effect: Link) -> tuple[Link, ...] | None:
     """Return the links with an effect inserted; None if it cannot act."""
     varies: str | None = getattr(effect, "varies", None)
     return _behind_last(links, effect) if varies is None else _in_front_of_readers(links, effect, varies)
@@ -285,11 +286,11 @@ def _in_front_of_readers(links: tuple[Link, ...], effect: Link, block: str) -> t
     return tuple(Varied(link, block, effect) if block in link.blocks else link for link in links)
 
 
-def _behind(outer: Array | None, inner: Array) -> Array:
+def _chained(outer: Array | None, inner: Array) -> Array:
     if outer is None:
         return inner
     if inner is IDENTITY:
         return outer
-    if inner.ndim == 4:
+    if inner.ndim == 4:  # k members of the block for each reading
         return np.stack([through(outer, slot) for slot in inner])
     return through(outer, inner)

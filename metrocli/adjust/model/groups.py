@@ -170,7 +170,7 @@ def priors(block: Block, sigma: Array, free: Mask) -> list[Group]:
 
     sigma (members, size): above zero a prior, nan unknown, 0 exact. free (members, size): what is solved for.
     """
-    # an exact entry is no unknown, and a prior of sigma 0 would divide by it
+    # an exact entry is not an unknown, and a prior of sigma 0 would divide by it
     known = free & np.isfinite(sigma) & (sigma > 0)
     groups: list[Group] = []
     # readings of a group have the same components, so entries of which some lack a prior are groups of their own

@@ -20,14 +20,15 @@ from metrocli.diagnosis.extended_fit import EffectSize
 from metrocli.diagnosis.findings import Diagnosis, Finding, RandomEffect
 from metrocli.diagnosis.job_entries import proposed_correlated, proposed_noise, proposed_variances
 from metrocli.diagnosis.laws.law import Law
+from metrocli.diagnosis.trials import Mistaken
 from metrocli.diagnosis.wrong_readings import Outlier
 from metrocli.project.diagnosed import Extended
 from metrocli.words import in_a_row, listed
 
 _SHOWN = 6
+"""Most entries of a list in a line; of wrong readings four times as many have a row"""
 _DESCRIBED = 4
 """Most effects with lines of their own; the table lists all"""
-_LEAST_P = 1e-12
 _HEAD = ("effect", "size (± u)", "chance", "or instead", "held-out error", "log score (± std)", "changes result by")
 
 
@@ -36,16 +37,16 @@ def of_diagnosis(diagnosis: Diagnosis, extended: Extended | None, full: bool = F
     job, findings = diagnosis.job, diagnosis.findings
     parts = [[f"verdict: {headline(diagnosis)}", *summary(diagnosis)]]
     if diagnosis.mistaken is not None:
-        parts.append(list(_mistake(diagnosis)))
+        parts.append(list(_mistake(diagnosis.mistaken)))
     if findings or diagnosis.scatters:
-        together = [_together(diagnosis.together, job)] if diagnosis.together is not None else []
-        identified = diagnosis.identified
         rows = [
-            _row(effect, job) if isinstance(effect, Finding) else _row_of_scatter(effect, job) for effect in identified
+            _row(effect, job) if isinstance(effect, Finding) else _row_of_scatter(effect, job)
+            for effect in diagnosis.identified
         ]
+        together = [_together(diagnosis.together, job)] if diagnosis.together is not None else []
         parts.append(text_table(_HEAD, [*rows, *together]))
     if diagnosis.outliers:
-        parts.append(list(_wrong(diagnosis.outliers, diagnosis.job.removes)))
+        parts.append(list(_wrong(diagnosis.outliers, job.removes)))
     if not diagnosis.quick:
         parts.append([*_structure(diagnosis), *_processes(diagnosis), *noise_lines(diagnosis)])
     if diagnosis.laws:
@@ -103,12 +104,12 @@ def _of_part(part: MemberSubset) -> str:
 
 
 def _extension(diagnosis: Diagnosis, law: Law | None) -> str:
-    """Return what an extended job with a law, or without, has that the job has not."""
-    added = ["the named effects"] if diagnosis.scatters or any(one.confirmed for one in diagnosis.findings) else []
-    added += ["the law"] if law is not None else []
+    """Return what an extended job with a law, or without, has that the job lacks."""
+    named = diagnosis.scatters or any(finding.confirmed for finding in diagnosis.findings)
+    added = [*(["the named effects"] if named else []), *(["the law"] if law is not None else [])]
     shared = _shared(diagnosis)
     if not added and not shared:
-        return "the job with what is said above to be right, and diagnose it again"
+        return "the job corrected as stated above, and diagnose it again"
     if not added:
         remains = proposed_noise(diagnosis) or proposed_correlated(diagnosis)
         what = "include the structure left" if diagnosis.left is not None else "include the smooth error"
@@ -126,8 +127,8 @@ def _shared(diagnosis: Diagnosis) -> str:
 
 def of_design(adjusted: AdjustedJob, design: Detectability) -> str:
     """Return the report of what a measurement can detect."""
-    lines = ["what this measurement can detect (80 % power, counting everything that is tried):", ""]
-    lines = [*([_of_part(adjusted.part), ""] if adjusted.part else []), *lines]
+    lines = [_of_part(adjusted.part), ""] if adjusted.part else []
+    lines += ["what this measurement can detect (80 % power, counting everything that is tried):", ""]
     lines += candidate_lines(adjusted, design, None)
     alike = [
         f"  {pair.one} and {pair.other}: "
@@ -141,15 +142,14 @@ def of_design(adjusted: AdjustedJob, design: Detectability) -> str:
     return "\n".join([*lines, *(["", "hard to distinguish:", *alike] if alike else [])])
 
 
-def _mistake(diagnosis: Diagnosis) -> Iterator[str]:
-    if diagnosis.mistaken is not None:
-        mistakes = diagnosis.mistaken.mistakes
-        alike = " in one of these ways, which the readings do not distinguish" if mistakes[1:] else ""
-        what = "file" if mistakes[0].file else "file or setting"
-        yield f"A {what} of this job is wrong{alike}:"
-        yield from (f"  {mistake}" for mistake in mistakes[:_SHOWN])
-        yield f"write: {mistakes[0].write}" + (", if it is the first" if mistakes[1:] else "")
-        yield f"All that follows is for the {'corrected job' if diagnosis.mistaken.mended else 'job as it stands'}."
+def _mistake(mistaken: Mistaken) -> Iterator[str]:
+    mistakes = mistaken.mistakes
+    alike = " in one of these ways, which the readings do not distinguish" if mistakes[1:] else ""
+    what = "file" if mistakes[0].file else "file or setting"
+    yield f"A {what} of this job is wrong{alike}:"
+    yield from (f"  {mistake}" for mistake in mistakes[:_SHOWN])
+    yield f"write: {mistakes[0].write}" + (", if it is the first" if mistakes[1:] else "")
+    yield f"All that follows is for the {'corrected job' if mistaken.mended else 'job as it stands'}."
 
 
 def _wrong(outliers: tuple[Outlier, ...], removes: bool) -> Iterator[str]:
@@ -159,9 +159,10 @@ def _wrong(outliers: tuple[Outlier, ...], removes: bool) -> Iterator[str]:
     yield from text_table(("wrong reading", "error", "or instead"), rows)
     if len(outliers) > len(rows):
         yield f"... {len(outliers) - len(rows)} more"
-    apart = f"`outliers: remove` leaves wrong readings out{'' if removes else '; or measure them again'}."
-    alike = "These readings do not show which one is wrong: measure them again."
-    yield alike if all(outlier.others for outlier in outliers) else apart
+    if all(outlier.others for outlier in outliers):
+        yield "These readings do not show which one is wrong: measure them again."
+    else:
+        yield f"`outliers: remove` leaves wrong readings out{'' if removes else '; or measure them again'}."
 
 
 def _others(outlier: Outlier) -> str:
@@ -171,16 +172,16 @@ def _others(outlier: Outlier) -> str:
 def _structure(diagnosis: Diagnosis) -> Iterator[str]:
     left = diagnosis.left
     if diagnosis.findings or diagnosis.scatters:
-        yield f"structure before: {_chance(diagnosis.before)}"
+        yield f"structure before: {units.chance(diagnosis.before)}"
     if left is None:
-        yield f"structure left: none beyond noise ({_chance(diagnosis.after)} for the strongest)"
+        yield f"structure left: none beyond noise ({units.chance(diagnosis.after)} for the strongest)"
         return
     where = f" in the readings of {', '.join(left.where)}" if left.where else ""
     _, dimension = REPORTED.get(left.unit, diagnosis.job.reading)
     size = f", {units.sized(left.size, dimension)} (root mean square)" if left.size else ""
     size += "" if left.share is None else f", {100 * left.share:.{3 if left.share >= 0.995 else 2}g} % of the misfit"
     along = f", varies with {' and '.join(left.depends_on)}" if left.depends_on else "," * bool(where)
-    yield f"structure left: {_chance(left.p_value)}{along}{where}{size}"
+    yield f"structure left: {units.chance(left.p_value)}{along}{where}{size}"
     yield f"  No known effect explains it. {_included(diagnosis)}"
 
 
@@ -193,15 +194,15 @@ def _included(diagnosis: Diagnosis) -> str:
 
 def _processes(diagnosis: Diagnosis) -> Iterator[str]:
     for error in diagnosis.correlated_errors:
-        size, chance = error.sized(diagnosis.job.reading[1]), _chance(float(np.exp(error.log_level)))
+        size, chance = error.sized(diagnosis.job.reading[1]), units.chance(float(np.exp(error.log_level)))
         # two errors over the same covariate differ in it
         length = f"correlated over {100 * error.length:.2g} % of the range"
         yield f"{smooth(error)}: {size} (standard deviation, {chance}; {length})"
         if error.instead_of:
             yield f"  Without it these would be named: {listed([str(each) for each in error.instead_of], _SHOWN)}."
     if diagnosis.correlated_errors:
-        counted = "the named effects and detectable sizes hold" if diagnosis.findings else "detectable sizes hold"
-        yield f"  Chance explains it as well as any cause. It counts as noise: {counted} beside it."
+        allowing = "the named effects and the detectable sizes" if diagnosis.findings else "the detectable sizes"
+        yield f"  Chance explains it as well as any cause. It counts as noise: {allowing} allow for it."
         if diagnosis.left is None:
             yield f"  {_included(diagnosis)}"
 
@@ -241,7 +242,7 @@ def _row_of_scatter(scatter: RandomEffect, adjusted: AdjustedJob) -> tuple[str, 
     return (
         f"{effect.name} {effect.everywhere}",
         _parameter(std),
-        _chance(float(np.exp(scatter.log_level))),
+        units.chance(float(np.exp(scatter.log_level))),
         ", ".join(map(str, scatter.rivals)),
         _reduction(scatter.gain),
         _score(scatter.gain),
@@ -260,7 +261,7 @@ def _row(finding: Finding, adjusted: AdjustedJob) -> tuple[str, ...]:
     return (
         str(name.alternative),
         ", ".join(map(_parameter, finding.sizes)),
-        _chance(float(np.exp(name.log_level))),
+        units.chance(float(np.exp(name.log_level))),
         listed(finding.instead, _SHOWN),
         _reduction(gain),
         _score(gain),
@@ -289,11 +290,8 @@ def _parameter(size: EffectSize) -> str:
     if size.std is None:
         digits, partly = ("6g", "") if size.seen else ("2g", " (not seen)")
         return f"{key} {size.value:.{digits}} {size.parameter.unit}{partly}"
+    # to the unit in which a person reads the value, from the one in which the parameter is given
     _, symbol = size.parameter.readable(size.value)
     of_unit = units.find_unit(symbol, dimension).outside(1.0) if dimension and symbol != "1" else 1.0
     factor = of_unit / size.parameter.given
     return f"{key} = {units.format_quantity(size.value * factor, symbol, size.std * factor)}"
-
-
-def _chance(p: float) -> str:
-    return "p < 1e-12" if p < _LEAST_P else f"p = {p:.2g}"

@@ -41,7 +41,7 @@ def law_lines(diagnosis: Diagnosis, extended: Law | None) -> Iterator[str]:
         others = [f"{term.form.text} ({_place(term)} {term.spot.component}".rstrip() + ")" for term in law.as_likely]
         more = f" or {len(others) - _LISTED} others" if len(others) > _LISTED else ""
         yield f"These readings hardly distinguish it from {'; '.join(others[:_LISTED])}{more}."
-    yield f"A law is no cause: what acts like this at this place is to be found.{_where(law, extended)}"
+    yield f"A law is not a cause: find what acts like this at this place.{_where(law, extended)}"
 
 
 def _where(law: Law, extended: Law | None) -> str:
@@ -58,10 +58,9 @@ def _where(law: Law, extended: Law | None) -> str:
 def _row(law: Law) -> tuple[str, ...]:
     texts, place = written(law), _place(law.terms[0])
     adds = "; ".join(f"{name}: {text}" if name else text for name, text in texts.adds.items())
-    chance = "p < 1e-12" if law.p_value < 1e-12 else f"p = {law.p_value:.2g}"
     score = f"{law.gain.log_score:+.1f} ± {law.gain.log_score_std:.1f}"
-    share = f"{100 * law.part_of_structure:.0f} %"
-    return "*" if law.chosen else "", adds, place, share, chance, f"{-100 * law.gain.reduction:+.0f} %", score
+    share, held_out = f"{100 * law.part_of_structure:.0f} %", f"{-100 * law.gain.reduction:+.0f} %"
+    return "*" if law.chosen else "", adds, place, share, units.chance(law.p_value), held_out, score
 
 
 def _place(term: Term) -> str:

@@ -28,12 +28,11 @@ def _row(number: int, extension: Extension, first: Diagnosis) -> tuple[str, ...]
     job, statistics = first.job, extension.done.result.statistics
     held_out = " to ".join(units.sized(size, job.reading[1]) for size in (extension.before, extension.after))
     shift = "" if extension.shift is None else units.changed_by(extension.shift, job.delivered.dimension)
-    chance = "p < 1e-12" if extension.p_value < 1e-12 else f"p = {extension.p_value:.2g}"
     chi2, dof = (f"{statistics[name]:.4g}" if name in statistics else "" for name in ("chi2", "dof"))
     if statistics.get("noise_estimated") and "noise_factor" not in statistics:
         # with unit weights chi2 is a sum of squares in the unit of the readings: no test compares it
         chi2 = "noise found"
-    return str(number), ", ".join(extension.added), chance, chi2, dof, held_out, shift
+    return str(number), ", ".join(extension.added), units.chance(extension.p_value), chi2, dof, held_out, shift
 
 
 def loop_data(loop: Loop) -> dict[str, Any]:

@@ -70,7 +70,7 @@ def command(
         from metrocli.imports.proposed_mapping import format_of, must_be_read, proposed
 
         if known := format_of(lines):
-            raise UsageError(f"{file} is a file for --from {known}: metrocli import {file} --from {known}")
+            raise UsageError(f"{file} has the format {known}: write metrocli import {file} --from {known}")
         must_be_read(lines)
         echo(proposed(lines))
         return 0

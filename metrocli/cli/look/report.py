@@ -163,7 +163,7 @@ def _charts(judged: Sequence[Staleness], home: Path) -> Iterator[Html]:
     from metrocli.project.provenance.comparison import table_of
     from metrocli.report.pictures import control_charts
 
-    several = [state for state in judged if state.step.job.wishes.part is not None and state.label is not None]
+    several = [state for state in judged if state.step.job.options.part is not None and state.label is not None]
     for file, states in groupby(
         sorted(several, key=lambda state: str(state.step.job.file)), lambda state: state.step.job.file
     ):

@@ -93,7 +93,7 @@ class Fold:
         if not part.is_reading:
             return False
         rows = self.measurement.places[part.number]
-        # -1 where it has fewer components than others: that is no row
+        # -1 where it has fewer components than others: that is not a row
         return bool(self.mask[rows[rows >= 0]].any())
 
 

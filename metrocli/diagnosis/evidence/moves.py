@@ -164,7 +164,7 @@ def _noise(state: State, alone: bool) -> list[Move]:
     then stand `alone`.
     """
     kinds, known = [unit[0] for unit in state.measurement.units], state.measurement.noise
-    # one of many units that is quieter than the others is no cause for anything
+    # one of many units that is quieter than the others is not a cause for anything
     named = _by_effects(state.measurement)
     every = [group for group in noisier_groups(state) if group[2] <= 1 or group[1] in known or group[1] not in named]
     groups = [
@@ -204,7 +204,7 @@ def effects(state: State, shared: bool = False) -> list[Move]:
     These act at no place of many, so that no random effect of all places can stand for them.
 
     Left out is what the error of one reading explains as well: beside its dead path, a jump after the first reading of
-    a tracer is an error of that reading. How many readings there are is no evidence for the jump.
+    a tracer is an error of that reading. How many readings there are is not evidence for the jump.
     """
     m = state.measurement
     taken = {m.alternative(part.key).form for part in (*state.named, *state.unknown)}

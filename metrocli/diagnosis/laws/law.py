@@ -36,7 +36,7 @@ class LawData:
     """
 
     variable: str
-    """Empty for a law that is no curve"""
+    """Empty for a law that is not a curve"""
     unit: str
     x: Array
     """The variable, or what the law adds"""
@@ -92,7 +92,7 @@ def law_of(lawful: Lawful, base: State, gain: Gain, instead: State) -> Law:
     cuts = np.cumsum([len(term.form.factors) for term in terms])[:-1]
     acting = whole.any(axis=1)
     shown = np.where(acting & system.in_reported_unit, (base.residual - state.residual) * system.scale, 0.0)
-    # the smaller of both variances: the share is of what is above the noise, and structure left over is no noise
+    # the smaller of both variances: the share is of what is above the noise, and structure left over is not noise
     noise = min(state.variance, instead.variance) * base.freedoms
     part = (base.fit.squares - state.fit.squares) / max(base.fit.squares - noise, 1e-300)
     nets = state.without_fixed()[-len(terms) :]

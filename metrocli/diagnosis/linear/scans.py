@@ -127,7 +127,7 @@ def _with_values(
     *,
     first: bool,
 ) -> Iterator[tuple[Mapping[str, float], tuple[Array, Block, Mask]]]:
-    """Yield what `scan_with_values` yields; that none in between has a value is no error."""
+    """Yield what `scan_with_values` yields; that none in between has a value is not an error."""
     try:
         yield from scan_with_values(model, system, effect, places, wanted)
     except NoValueAtReadingError:

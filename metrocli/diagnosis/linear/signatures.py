@@ -77,7 +77,7 @@ def scan(
     first = extended.blocks[extended.added[-1].block]
     before = model.blocks.get(first.name)
     chosen = first.free.copy()
-    # entries that the model estimates already are no candidates
+    # entries that the model estimates already are not candidates
     if before is not None:
         chosen[:, : before.size] &= ~before.free
     for values in scans:

@@ -134,7 +134,9 @@ def revealing(job: AdjustedJob, design: Detectability, wanted: str, count: int) 
         hint = suggestion(wanted, list(known)) if known else "this job has no candidates"
         reason = next(_reasons(design, name, place.rpartition("=")[2]), "")
         message = (
-            f"is no candidate here: {reason}" if reason else f"is no effect that this measurement could have; {hint}"
+            f"is not a candidate here: {reason}"
+            if reason
+            else f"is not an effect that this measurement could have; {hint}"
         )
         raise UsageError(f"--reveal: '{wanted}' {message}")
     proposed = proposals(job)
@@ -142,7 +144,7 @@ def revealing(job: AdjustedJob, design: Detectability, wanted: str, count: int) 
 
 
 def _reasons(design: Detectability, name: str, place: str) -> Iterator[str]:
-    """Yield why an effect is no candidate at a place, or at all places, though the kind has it."""
+    """Yield why an effect is not a candidate at a place, or at all places, though the kind has it."""
     missing = [untested for untested in design.not_tested if untested.effect.name == name]
     yield from (
         untested.reason for untested in missing if not (place and untested.where) or place in untested.where.values()

@@ -1,6 +1,6 @@
 """Rotary axes: their error tables, where their lines lie, and the conditions that separate the two.
 
-Six tables of a rotary axis hold ten directions that are no errors of its motion: constants, and what turns once with
+Six tables of a rotary axis hold ten directions that are not errors of its motion: constants, and what turns once with
 the turning part, belong to the place of the axis and of what rides on it. So the tables are orthogonal to them
 (`gauge`), and the location errors are those of the axis average line (ISO 230-1, ISO 230-7).
 """
@@ -162,7 +162,7 @@ class RotaryAxis(Axis):
         return Block(self.location, row, names, free=free, reach=reach)
 
     def conditions(self, free: Mask) -> Array:
-        """Return the ten directions of the tables that are no errors of the motion, each of length 1, (10, members, 6).
+        """Return the ten directions of the tables that are not errors of the motion, of length 1, (10, members, 6).
 
         Across the axis and in the two tilts: constants, and `(cos s, -+sin s), (+-sin s, cos s)`, upper sign for a
         table. The axial table has the mean 0, and the angle is 0 at the reference. Directions that need a table that is
@@ -187,7 +187,7 @@ class RotaryAxis(Axis):
         return np.array(held).reshape(-1, n, 6)
 
     def in_gauge(self, block: Block) -> Block:
-        """Return the block of the tables without the directions that are no errors of the motion (`conditions`)."""
+        """Return the block of the tables without the directions that are not errors of the motion (`conditions`)."""
         # the ten directions are not orthogonal where knots are uneven, so each alone would leave a part of another
         basis, _ = np.linalg.qr(self.conditions(block.free).reshape(-1, block.values.size).T)
         flat = block.values.ravel()

@@ -42,7 +42,7 @@ class LensForm:
     def holds(self, lens: Mapping[str, float], convention: str) -> bool:
         """Return whether the lens is exactly one of this model."""
         fx, fy = focal(lens)
-        # a coefficient of 0 is no obstacle: the form images the same
+        # a coefficient of 0 is not an obstacle: the form images the same
         rest = (name for name, value in lens.items() if value and name not in ("f", "fx", "fy", "aspect"))
         same = convention == ("fisheye" if self.fisheye else "forward")
         return same and (fx == fy or "fx" in self.terms) and all(name in self.terms for name in rest)

@@ -146,7 +146,7 @@ class Lens(OfBlock):
     def step(self, value: Array, local: LinkContext) -> Step:
         """Return (u, v) [px] (2, n), with derivatives by the point (2, 3, n) and the parameters (2, size, n).
 
-        Behind a camera that is no fisheye it is nan. Without wanted blocks there are no derivatives.
+        Behind a camera that is not a fisheye it is nan. Without wanted blocks there are no derivatives.
         """
         block = local.blocks[self.block]
         k, wanted = _parameters(local, self.block), _wanted(local, self.block)

@@ -24,9 +24,9 @@ class ChosenLaw:
     text: str
     """The law, with the place where it acts, and its sizes"""
     variable: str
-    """Name and unit of the variable; empty for a law that is no curve"""
+    """Name and unit of the variable; empty for a law that is not a curve"""
     x: Array
-    """Variable at each reading; of a law that is no curve what it adds, (n,)"""
+    """Variable at each reading; of a law that is not a curve what it adds, (n,)"""
     law: Array
     """What it adds to each reading, (n,)"""
     residual: Array
@@ -84,7 +84,7 @@ def draw(canvas: Canvas, law: ChosenLaw) -> str:
         f"Law: {law.text}. Points: residual of the job extended by the law, plus what the law adds"
         f"{_AS_CURVE if law.variable else ''}. "
         f"Root mean square of {len(law.x)} readings: {without:.3g} {unit}, of their distances from the law: "
-        f"{with_law:.3g} {unit}. A law is no cause."
+        f"{with_law:.3g} {unit}. A law is not a cause."
     )
     kept = "the lowest and the highest of each strip, the others at equal steps"
     return " ".join(filter(None, [text, words(len(rows), len(law.x), kept)]))

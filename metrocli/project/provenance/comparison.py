@@ -141,7 +141,7 @@ def table_of(states: Iterable[Staleness]) -> Table:
         if state.label is None:
             continue
         result, record = hdf5.read(state.step.job.output)
-        part = state.step.job.wishes.part
+        part = state.step.job.options.part
         parts.append(part.values if part else {})
         sigma0 = result.statistics.get("sigma0")
         row: dict[str, str | float] = {"job": state.step.name, "status": record.status}

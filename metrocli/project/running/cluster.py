@@ -32,21 +32,21 @@ class Packed:
     shown: str
     """That folder as messages name it, with a slash at its end; empty for the working folder"""
     file: str
-    wishes: JobOptions
+    options: JobOptions
     strict: bool
     files: Mapping[str, bytes]
 
 
 def pack(name: str, job: JobFile, strict: bool) -> Packed:
     """Return a job ready to travel; raises InputError if a file cannot be read."""
-    wishes = job.wishes.elsewhere()
-    job = replace(job, wishes=wishes)
+    options = job.options.elsewhere()
+    job = replace(job, options=options)
     paths = {Path(os.path.abspath(path)) for path in (*job.stated_in, *job.files)}
     file = Path(os.path.abspath(job.file))
     root = os.path.commonpath([os.path.abspath(job.output.parent), *(path.parent for path in paths)])
     files = {os.path.relpath(path, root): read_bytes(path).data for path in paths}
     shown = "" if os.path.samefile(root, ".") else os.path.relpath(root) + os.sep
-    return Packed(name, shown, os.path.relpath(file, root), wishes, strict, files)
+    return Packed(name, shown, os.path.relpath(file, root), options, strict, files)
 
 
 def carry_out(jobs: Sequence[Packed], versions: Versions) -> list[tuple[str, JobOutcome]]:
@@ -66,7 +66,7 @@ def _carry_out(packed: Packed) -> JobOutcome:
             path.write_bytes(data)
         try:
             outcome = attempt(
-                load(Path(folder) / packed.file, packed.wishes), packed.strict, workers=Workers(1, helped=True)
+                load(Path(folder) / packed.file, packed.options), packed.strict, workers=Workers(1, helped=True)
             )
         except MetrocliError as error:
             outcome = JobOutcome(exit_code=error.exit_code, error=str(error))

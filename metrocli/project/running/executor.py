@@ -103,7 +103,7 @@ class Processes:
         self._running: dict[Future[JobOutcome], _Begun] = {}
 
     def begin(self, name: str, job: JobFile, strict: bool) -> None:
-        begun = _Begun(name, (job.file, job.wishes.elsewhere(), strict))
+        begun = _Begun(name, (job.file, job.options.elsewhere(), strict))
         try:
             submitted = self._pool.submit(_loaded_and_attempted, *begun.call)
         except BrokenProcessPool as error:  # a process died since the last look
@@ -185,9 +185,9 @@ def _end_with_parent() -> None:
         os._exit(MetrocliError.exit_code)
 
 
-def _loaded_and_attempted(file: Any, wishes: JobOptions, strict: bool) -> JobOutcome:
+def _loaded_and_attempted(file: Any, options: JobOptions, strict: bool) -> JobOutcome:
     try:
-        job = load(file, wishes)
+        job = load(file, options)
     except MetrocliError as error:
         return JobOutcome(exit_code=error.exit_code, error=str(error))
     return attempt(job, strict, workers=Workers(1))

@@ -66,7 +66,7 @@ def _could_be_the_same(folder: str, name: str, files: dict[str, list[Any]]) -> b
 
 
 def _text(path: str) -> str:
-    """Return the text of a file, empty if it cannot be read, is no plain file or too large for a memo."""
+    """Return the text of a file, empty if it cannot be read, is not a plain file or too large for a memo."""
     import stat
 
     try:
@@ -85,8 +85,8 @@ def remember(
     """Remember that all results are up to date, as of `begun_ns`, when the project was read.
 
     `labels` are those of the results by the names of the steps, as they were judged or written. Nothing is remembered
-    if a file is too young and has not the bytes that were judged, or if a project file nearer to a job appeared or
-    went meanwhile. A folder that cannot be written is no fault: the next run looks again.
+    if a file is too young and lacks the bytes that were judged, or if a project file nearer to a job appeared or
+    went meanwhile. A folder that cannot be written is not a fault: the next run looks again.
     """
     from contextlib import suppress
 
@@ -96,7 +96,7 @@ def remember(
     # a package is more than the file that offers its effects: one that moved may be another
     packages = {package.file for step in steps for package in step.job.packages}
     sought = {path for step in steps for path in step.job.own.sought}
-    read = sought & steps[0].job.wishes.files.held.keys() if steps else sought
+    read = sought & steps[0].job.options.files.held.keys() if steps else sought
     # a nearer project file that came meanwhile would define other effects for the same job
     if any(path.exists() for path in sought - read):
         return
@@ -139,12 +139,12 @@ def _judged(
             return {}
         for entry in label.inputs:
             add(job.folder / entry.path, entry.sha256)
-        if job.wishes.part is not None and job.wishes.part.list is not None:
-            add(job.wishes.part.list.path, job.wishes.part.list.sha256)
+        if job.options.part is not None and job.options.part.list is not None:
+            add(job.options.part.list.path, job.options.part.list.sha256)
         if os.path.relpath(job.output, folder) in young:
             held = read_bytes(job.output, "a result file")
             add(job.output, held.sha256 if unsealed(held.data, str(job.output))[0] == label else "")
-    for path, file in steps[0].job.wishes.files.held.items():
+    for path, file in steps[0].job.options.files.held.items():
         add(path, file.bytes.sha256)
     return digests
 
@@ -155,7 +155,7 @@ def _settled(seen: Sequence[int], begun_ns: int) -> bool:
 
 
 def _write(project_file: str, jobs: list[list[str]], files: dict[str, list[Any]], begun_ns: int) -> None:
-    """Write what is remembered, of young files no times; a folder that cannot be written is no fault."""
+    """Write what is remembered, of young files no times; a folder that cannot be written is not a fault."""
     import json
     from contextlib import suppress
     from pathlib import Path

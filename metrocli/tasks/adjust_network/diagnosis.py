@@ -26,7 +26,7 @@ from metrocli.tasks.adjust_network.effects import EFFECTS, MOVED, NO_MIRROR, NO_
 from metrocli.tasks.adjust_network.groups import BARS, GIVEN_POINTS, is_sighting
 from metrocli.tasks.adjust_network.solve import AdjustedNetwork, refitted
 from metrocli.tasks.shared.diagnosed import FOLDS, in_time
-from metrocli.tasks.shared.noise import POINTS_IN_TIME, NoiseFound, in_blocks, noise_found
+from metrocli.tasks.shared.noise import POINTS_IN_TIME, JobNoise, in_blocks, job_noise
 
 
 def adjusted_job(solved: AdjustedNetwork) -> AdjustedJob:
@@ -101,7 +101,7 @@ def _variations(model: Model, readings: Observations) -> Iterator[tuple[str, Obs
         yield "in face 2", replace(readings, conditions={**readings.conditions, FACE: -face})
 
 
-def noise_of(solved: AdjustedNetwork, model: str, factor: float) -> NoiseFound:
+def noise_of(solved: AdjustedNetwork, model: str, factor: float) -> JobNoise:
     """Return the noise of a solved network; raises UndeterminedError for fewer than ten points if it is structured."""
     blocks = solved.solution.blocks
     stations = [
@@ -113,7 +113,7 @@ def noise_of(solved: AdjustedNetwork, model: str, factor: float) -> NoiseFound:
         of = {group.name: _blocks_of(group) for group in solved.groups}
         return Clusters(of, POINTS_IN_TIME, grows=False, free=solved.network.datum is not None)
 
-    return noise_found((solved.solution, factor), model, clusters, estimates, (t.POINT,))
+    return job_noise((solved.solution, factor), model, clusters, estimates, (t.POINT,))
 
 
 def _blocks_of(group: Group) -> Index:

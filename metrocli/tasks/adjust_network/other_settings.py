@@ -111,7 +111,7 @@ def _exchanged(job: Job[Settings, Files], readings: NetworkReadings, rough: Netw
     rows, places = placed(readings, rough)
     exchanged: dict[tuple[int, int], list[int]] = {}
     count = readings.points.count
-    # one vote of each station and of the list: two faces are no two witnesses of a name
+    # one vote of each station and of the list: two faces are not two witnesses of a name
     votes = medians(places, seen.station[rows] * count + seen.point[rows], len(stations) * count)
     votes = np.concatenate([votes.reshape(-1, count, 3), readings.points.listed[None]])
     for station in np.unique(seen.station[rows]).tolist():

@@ -236,7 +236,7 @@ def _open_by_datum(network: Network) -> list[str]:
 
 def _left_open(readings: NetworkReadings, place: Array, used: Mask) -> list[str]:
     """Return the motions that fixed coordinates (points, 3) leave open, with verticals and lengths."""
-    # levelled height differences show the direction of the vertical: tilts are no motions then
+    # levelled height differences show the direction of the vertical: tilts are not motions then
     needed = [i for i in _not_determined(readings) if i not in (3, 4) or readings.heights is None]
     fixed = used.any(axis=1)
     centred = place - place[fixed].mean(axis=0) if fixed.any() else place

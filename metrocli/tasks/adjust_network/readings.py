@@ -251,7 +251,7 @@ def _joint_of_result(known: KnownPoints, points: Result) -> KnownPoints:
     if POINTS_COVARIANCE not in points.arrays:
         return known
     joint = points_of(points).joint
-    # a free network has a singular covariance, which is no prior: its points stay a list
+    # a free network has a singular covariance, which is not a prior: its points stay a list
     if not (np.linalg.eigvalsh(joint) > 1e-9 * np.trace(joint) / len(joint)).all():
         return known
     rows = np.arange(len(joint))

@@ -21,19 +21,19 @@ from metrocli.tasks.adjust_network.placed import placed_stations
 from metrocli.tasks.adjust_network.solve import AdjustedNetwork
 from metrocli.tasks.adjust_network.suspects import SuspectedReading
 from metrocli.tasks.shared.joint_covariance import factors
-from metrocli.tasks.shared.noise import NoiseFound
+from metrocli.tasks.shared.noise import JobNoise
 from metrocli.tasks.shared.statistics import (
     REMOVE,
     Statistics,
     basic_statistics,
     beyond_bound,
     condition_columns,
-    found_notes,
+    job_noise_notes,
     left_out,
     noise_notes,
     noise_warnings,
     point_shift,
-    with_found,
+    with_job_noise,
 )
 from metrocli.words import listed
 
@@ -42,7 +42,7 @@ _LARGEST_JOINT = 2000
 _ONCE = 5
 
 
-def report(solved: AdjustedNetwork, noise: NoiseFound) -> Result:
+def report(solved: AdjustedNetwork, noise: JobNoise) -> Result:
     """Return the result of a solved network."""
     solution, added = noise.solution, solved.network.effects
     placed = placed_stations(solved.network, solution)
@@ -65,13 +65,13 @@ def report(solved: AdjustedNetwork, noise: NoiseFound) -> Result:
         title="",
         estimates=delivered,
         covariance=placed.joint(solution, blocks),
-        statistics=with_found(_statistics(solved, solution), noise),
+        statistics=with_job_noise(_statistics(solved, solution), noise),
         tables=tables,
         arrays=arrays | effect_arrays,
         warnings=tuple(_warnings(solved, solution)),
         shown=tuple(_shown(solved)),
         notes=(
-            *found_notes(noise),
+            *job_noise_notes(noise),
             *noise_notes(solution, cures=(REMOVE,)),
             *_datum_note(solved),
             *(f"its list decides, since a mirror image fits as well: {place.words}" for place in solved.second[:_ONCE]),

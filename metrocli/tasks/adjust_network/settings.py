@@ -260,7 +260,7 @@ class Settings:
 
     @property
     def of_further_stations(self) -> str | None:
-        """The instrument of the stations that a plan adds: the first that is no interferometer."""
+        """The instrument of the stations that a plan adds: the first that is not an interferometer."""
         return next((name for name, kind in self.instruments.items() if kind.type != INTERFEROMETER), None)
 
 

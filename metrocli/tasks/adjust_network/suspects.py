@@ -39,7 +39,7 @@ class SuspectedReading:
 
 def suspected(of_groups: Mapping[str, Residuals], solution: Solution) -> Iterator[SuspectedReading]:
     """Yield the wrong readings, the worst first; all groups are tested together."""
-    # given coordinates are no readings that could be left out: they may hold the frame
+    # given coordinates are not readings that could be left out: they may hold the frame
     of_groups = {name: residuals for name, residuals in of_groups.items() if not name.startswith(GIVEN_POINTS)}
     names = [name for name, residuals in of_groups.items() for _ in range(residuals.values.shape[1])]
     rows = np.concatenate([np.arange(residuals.values.shape[1]) for residuals in of_groups.values()])
@@ -86,7 +86,7 @@ def contradictions(
 
 def _suspect(group: Group, row: int, test: float) -> SuspectedReading:
     index = group.observations.index
-    # the mark under a station is no point of its sightings: all of them would be alike
+    # the mark under a station is not a point of its sightings: all of them would be alike
     points = np.atleast_2d(index.get(OF_POINT, index[POINT]))[:, row]
     keys = {key: texts[row] for key, texts in group.observations.keys.items()}
     return SuspectedReading(group.name, row, test, keys, frozenset(points.tolist()))

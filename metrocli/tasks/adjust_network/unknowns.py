@@ -41,7 +41,7 @@ def blocks_of(readings: NetworkReadings, start: NetworkStart, extent: float) -> 
     stations, points = readings.stations, readings.points
     free = points.sigma != 0
     _must_have_places(readings, start)
-    # an exact coordinate is no unknown: it is that of the list, wherever the set-ups place the point
+    # an exact coordinate is not an unknown: it is that of the list, wherever the set-ups place the point
     begun = np.where(free | np.isnan(points.listed), start.points, points.listed)
     yield t.point_block(begun, points.names, free & seen_points(readings)[:, None], extent)
     kinds = kind_of_stations(readings)

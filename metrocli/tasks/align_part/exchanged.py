@@ -49,6 +49,7 @@ def refuse_exchanged(
     if best * _BETTER < misfit and best < _GOOD:
         first, second = (names[number] for number in pair)
         raise InputError(
-            f"the poses of images {first} and {second} are exchanged: read so, the lines of sight meet the targets to "
-            f"{1000 * best:.2g} mrad; exchange their names in the file of poses, or those of the images"
+            f"the poses of images {first} and {second} are exchanged: with this corrected, the lines of sight "
+            f"meet the targets to {1000 * best:.2g} mrad; exchange their names in the file of poses, or those of the "
+            "images"
         )

@@ -154,7 +154,7 @@ def too_near(problem: CameraProblem, adjusted: AdjustedImages, pixel_size: float
 
 
 _MISFIT = 5.0
-"""Residuals so many times as large as the scatter of neighbouring points are no noise"""
+"""Residuals so many times as large as the scatter of neighbouring points are not noise"""
 
 
 def unmodelled(adjusted: AdjustedImages, image: Index, size: tuple[int, int]) -> list[str]:

@@ -59,7 +59,7 @@ def _fisheye(settings: C) -> C:
 def other_settings(job: Job[Settings, Files], problem: CameraProblem) -> Iterator[tuple[Mistake, Job[Settings, Files]]]:
     """Yield the model fisheye where a pinhole is calibrated, and a pinhole with all its distortion is no better.
 
-    A lens whose distortion the job does not estimate is no fisheye.
+    A lens whose distortion the job does not estimate is not a fisheye.
     """
     old = job.settings.camera
     if _is_fisheye(problem, old, job.settings.noise):
@@ -149,7 +149,7 @@ def _left_by_pinhole(problem: CameraProblem) -> float:
 def fisheye_instead(problem: CameraProblem, settings: CameraSettings, rms: float) -> list[str]:
     """Return that the model fisheye fits far better than a forward lens whose residuals have this rms [px].
 
-    A lens whose distortion the job does not estimate is no fisheye.
+    A lens whose distortion the job does not estimate is not a fisheye.
     """
     if not _may_be_fisheye(problem):
         return []

@@ -22,7 +22,7 @@ from metrocli.units.people import two_digits
 _STEP = 1e-6
 """Relative step of central differences: near the cube root of the rounding of a double, where their error is least"""
 _ONE_ANGLE = np.radians(10.0)
-"""Normals of boards that are nearer to their mean have one angle"""
+"""Boards whose normals are all nearer to the mean normal than this are shown at one angle"""
 _VAGUE_FOCAL_LENGTH = 1e-3
 """Relative uncertainty of a focal length from which one angle of all boards is a warning"""
 _VAGUE_CORNER = 0.01
@@ -42,7 +42,7 @@ class SolvedCamera:
     name: str
     """Empty for a single one"""
     number: int
-    """Of its member of the block of lenses"""
+    """Number of its member of the block of lenses"""
     convention: str
     size: tuple[int, int]
     shape: LensShape | None
@@ -94,7 +94,7 @@ class _Projection:
     free: Index
     covariance: Array
     readings: Array
-    link: LensShape | None = None
+    shape: LensShape | None = None
 
     def std(self, at: Array, depth: float = np.inf) -> Array:
         """Return the standard uncertainty (n,) [px] of the images of fixed points at image points (2, n).
@@ -116,14 +116,16 @@ class _Projection:
 
     def _by_lens(self, uv: Array, directions: Array) -> Array:
         of_lens = self.lens.by_lens(uv, directions, self.free)
-        return of_lens if self.link is None else np.concatenate([of_lens, by_shape(self.link, uv)], axis=1)
+        return of_lens if self.shape is None else np.concatenate([of_lens, by_shape(self.shape, uv)], axis=1)
 
 
+@dataclass(frozen=True)
 class _LensDerivatives:
     """Derivatives of image points of fixed directions, u of all before v of all."""
 
-    def __init__(self, convention: str, columns: tuple[str, ...], values: Array) -> None:
-        self.columns, self.values, self.convention = columns, values, convention
+    convention: str
+    columns: tuple[str, ...]
+    values: Array
 
     def named(self, values: Array) -> dict[str, float]:
         """Return values of the parameters by their names."""
@@ -157,7 +159,7 @@ class _LensDerivatives:
         lens = self.named(values)
         if self.convention != "backward":
             return np.concatenate(image_point(lens, directions[0], directions[1], self.convention == "fisheye"))
-        # the measured point is corrected: a change of its direction at a fixed pixel, in pixels
+        # this lens corrects measured points: the change of the direction of a fixed pixel, in pixels
         fx, fy = focal(lens)
         x, y = ideal_point(lens, uv[0], uv[1], self.convention)
         return np.concatenate([fx * x, fy * y])
@@ -228,7 +230,7 @@ def angle_warnings(problem: CameraProblem, std: Array) -> list[str]:
     the standard uncertainties of the lens.
     """
     lens = problem.blocks[camera.LENS]
-    free = [at for at, name in enumerate(lens.columns) if name in ("f", "fx", "fy") and lens.free[0, at]]
+    free = [i for i, name in enumerate(lens.columns) if name in ("f", "fx", "fy") and lens.free[0, i]]
     frame, planar = plane_frame(problem.sighted.targets.points[np.unique(problem.sighted.target)])
     if problem.rig != "board" or not free or not planar:
         return []

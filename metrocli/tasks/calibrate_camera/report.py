@@ -140,7 +140,7 @@ def _tables_and_arrays(solved: _Calibration, hidden: Table) -> tuple[dict[str, T
     depth = float(np.median(np.abs(depths(adjusted.group, solution))))
     tables["projection_error"] = projection_table(solution, solved.seen, depth)
     if problem.rig == "cmm":
-        del tables["views"]  # the machine gives their poses: they are no unknowns
+        del tables["views"]  # the machine gives their poses: they are not unknowns
     else:
         of_views = pose_columns(solution.blocks[camera.VIEW].values, covariance.members(camera.VIEW))
         tables["views"] = tables["views"].joined(of_views)

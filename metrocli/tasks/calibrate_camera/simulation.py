@@ -136,7 +136,7 @@ def with_lengths(
 
     Places x0 with standard deviations S move to the least `|(x - x0) / S|^2 + |(L - l(x)) / s|^2`. L are the lengths,
     drawn about the calibrated ones. So places in a rough list give way, and those that are known exactly stay.
-    `lengths` are pairs of what a length is, in words, and its table. Raises InputError for ends that are no targets,
+    `lengths` are pairs of what a length is, in words, and its table. Raises InputError for ends that are not targets,
     for lengths that are far from what the list has, and where no places settle.
     """
     tables = [(table, ends_of(table, places.names, None, what)) for what, table in lengths if table is not None]

@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from metrocli.adjust.adjustment import StoppingRule, adjust
+from metrocli.adjust.solution import Solution
 from metrocli.arrays import Array, Mask
 from metrocli.geometry import poses
 from metrocli.instruments import camera
@@ -19,56 +20,68 @@ from metrocli.tasks.shared.images.adjustment import AdjustedImages
 from metrocli.words import listed
 
 _FEWEST = 4
+"""Fewest images; an image needs more readings: its pose and its principal point take up eight coordinates"""
 _CERTAIN = 3.0
 """Standard uncertainties by which the principal point of turned images is on the other side"""
 _GAIN = 50.0
 """Decrease of chi-square by turning images back from which they are named, in units of the residuals' variance"""
-_FITS, _MUCH = 4.0, 2.0
-"""Variance, in that declared, above which something else is wrong, and how much smaller chi-square has to be then"""
-_BETWEEN, _WITHIN = 3.0, 0.3
-"""Squares of the two means in those of noise, for each image, and what may be left about them beyond noise"""
+_FITS = 4.0
+"""Variance, in that declared, above which something else is wrong ..."""
+_MUCH = 2.0
+"""... and how many times smaller turning images back has to make chi-square then"""
+_BETWEEN = 3.0
+"""Least sum of squares of the two means, for each image, in that of noise"""
+_WITHIN = 0.3
+"""Largest share of it that may be left about the two means beyond noise"""
 _AXES = ("cx", "cy")
 
 
 def turned_images(problem: CameraProblem, adjusted: AdjustedImages) -> list[str]:
     """Return why a camera must not be used some of whose images fit better turned by 180 degrees."""
-    lens = adjusted.solution.blocks[camera.LENS]
-    at = [lens.columns.index(name) for name in _AXES]
-    if problem.rig == "cmm" or len(problem.sighted.images) < _FEWEST or not lens.free[0, at].all():
-        return []
-    few = _on_the_other_side(problem, adjusted, at)
-    if not few.any():
-        return []
-    group, (w, h) = adjusted.group, problem.image_size
-    observations = group.observations
-    there, readings = few[observations.index[camera.VIEW]], observations.readings
-    # W - 1 - u: pixel centres are whole numbers, and the first is 0
-    flipped = np.where(there, np.array([[w - 1.0], [h - 1.0]]) - readings, readings)
-    back = group.with_observations(observations.with_readings(flipped))
-    blocks = dict(adjusted.solution.blocks)
-    views = blocks[camera.VIEW]
-    blocks[camera.VIEW] = views.with_values(np.where(few[:, None], _rolled(views.values, problem.rig), views.values))
-    # the lens that both halves share is wrong for each: only poses may move before it is freed
-    begun = [block.fixed() if name != camera.VIEW else block for name, block in blocks.items()]
-    begun = list(adjust(begun, [back], None, StoppingRule(limit=30, covariance=False)).blocks.values())
-    freed = [replace(block, free=blocks[block.name].free) for block in begun]
-    other = adjust(freed, [back, *problem.others], problem.datum, StoppingRule(covariance=False))
     solution = adjusted.solution
+    lens = solution.blocks[camera.LENS]
+    columns = [lens.columns.index(name) for name in _AXES]
+    if problem.rig == "cmm" or len(problem.sighted.images) < _FEWEST or not lens.free[0, columns].all():
+        return []
+    turned = _on_the_other_side(problem, adjusted, columns)
+    if not turned.any():
+        return []
+    better = _with_turned_back(problem, adjusted, turned)
     # measured by the better fit: turned images make the noise of their own fit large
-    variance = max(other.cost / max(solution.dof, 1), 1e-12)
-    if not np.isfinite(other.cost) or (solution.cost - other.cost) / variance < _GAIN:
+    variance = max(better.cost / max(solution.dof, 1), 1e-12)
+    if not np.isfinite(better.cost) or (solution.cost - better.cost) / variance < _GAIN:
         return []
     # a camera that still does not fit has another fault, which turning may happen to hide a little of
-    if variance > _FITS and solution.cost < _MUCH * other.cost:
+    if variance > _FITS and solution.cost < _MUCH * better.cost:
         return []
-    names = [name for name, turned in zip(problem.sighted.images, few, strict=True) if turned]
-    values = other.blocks[camera.LENS].named()
+    names = [name for name, is_turned in zip(problem.sighted.images, turned, strict=True) if is_turned]
+    values = better.blocks[camera.LENS].named()
     f = "f" if "f" in values else "fx"
+    rest = len(turned) - len(names)
     return [
-        f"{len(names)} images are turned by 180 degrees, or the {len(few) - len(names)} others are: {listed(names)}; "
-        f"with them turned back the squared residuals are {solution.cost / other.cost:.2g} times smaller and {f} = "
+        f"{len(names)} images are turned by 180 degrees, or the {rest} others are: {listed(names)}; "
+        f"with them turned back the squared residuals are {solution.cost / better.cost:.2g} times smaller and {f} = "
         f"{values[f]:.1f} px; save all images as the camera wrote them"
     ]
+
+
+def _with_turned_back(problem: CameraProblem, adjusted: AdjustedImages, turned: Mask) -> Solution:
+    """Return the solution with the readings of some images turned by 180 degrees."""
+    group, (w, h) = adjusted.group, problem.image_size
+    observations, readings = group.observations, group.observations.readings
+    # W - 1 - u: pixel centres are whole numbers, and the first is 0
+    flipped = np.array([[w - 1.0], [h - 1.0]]) - readings
+    mended = np.where(turned[observations.index[camera.VIEW]], flipped, readings)
+    group = group.with_observations(observations.with_readings(mended))
+    blocks = dict(adjusted.solution.blocks)
+    views = blocks[camera.VIEW]
+    poses_of_views = np.where(turned[:, None], _rolled(views.values, problem.rig), views.values)
+    blocks[camera.VIEW] = views.with_values(poses_of_views)
+    # the lens that both halves share is wrong for each: only poses may move before it is freed
+    held = [block.fixed() if name != camera.VIEW else block for name, block in blocks.items()]
+    moved = adjust(held, [group], None, StoppingRule(limit=30, covariance=False)).blocks
+    freed = [replace(block, free=blocks[name].free) for name, block in moved.items()]
+    return adjust(freed, [group, *problem.others], problem.datum, StoppingRule(covariance=False))
 
 
 def _rolled(values: Array, rig: str) -> Array:
@@ -78,28 +91,27 @@ def _rolled(values: Array, rig: str) -> Array:
     return poses.compose(turns, values) if rig == "board" else poses.compose(values, turns)
 
 
-def _on_the_other_side(problem: CameraProblem, adjusted: AdjustedImages, at: list[int]) -> Mask:
+def _on_the_other_side(problem: CameraProblem, adjusted: AdjustedImages, columns: list[int]) -> Mask:
     """Return the images whose own principal point is on the other side of the middle than that of most, (images,).
 
     Each image has its own principal point here, by one linear step with its pose and the rest of the lens held.
     """
     solution, count = adjusted.solution, len(problem.sighted.images)
     linear = adjusted.group.linear(solution.blocks, frozenset((camera.LENS, camera.VIEW)))
-    columns = {touch.block: touch.jacobian for touch in linear.touches}
+    jacobians = {touch.block: touch.jacobian for touch in linear.touches}
     view = adjusted.group.observations.index[camera.VIEW]
     middle = (np.array(problem.image_size) - 1) / 2
     offset, weight = np.zeros((count, 2)), np.zeros((count, 2, 2))
-    held = solution.blocks[camera.LENS].values[0, at] - middle
+    common = solution.blocks[camera.LENS].values[0, columns] - middle
     for i in np.flatnonzero(np.bincount(view, minlength=count) > _FEWEST).tolist():
         mine = view == i
-        own = np.moveaxis(columns[camera.LENS][:, at][:, :, mine], 1, 2).reshape(-1, 2)
-        pose = np.moveaxis(columns[camera.VIEW][:, :, mine], 1, 2).reshape(-1, 6)
-        residual = linear.residual[:, mine].ravel()
-        both = np.linalg.lstsq(pose, np.column_stack([own, residual]), rcond=None)[0]
-        left = np.column_stack([own, residual]) - pose @ both
+        by_point = np.moveaxis(jacobians[camera.LENS][:, columns][:, :, mine], 1, 2).reshape(-1, 2)
+        by_pose = np.moveaxis(jacobians[camera.VIEW][:, :, mine], 1, 2).reshape(-1, 6)
+        both = np.column_stack([by_point, linear.residual[:, mine].ravel()])
+        # without what its pose takes up: a shift of the principal point is nearly a turn of the camera
+        left = both - by_pose @ np.linalg.lstsq(by_pose, both, rcond=None)[0]
         weight[i] = left[:, :2].T @ left[:, :2]
-        # its own principal point, what its pose takes up left out: a shift of the point is nearly a turn of the camera
-        offset[i] = held + np.linalg.lstsq(left[:, :2], left[:, 2], rcond=None)[0]
+        offset[i] = common + np.linalg.lstsq(left[:, :2], left[:, 2], rcond=None)[0]
     scale = solution.cost / max(solution.dof, 1)
     # one direction through the middle separates the two halves: the one along which the points lie farthest apart
     along = np.linalg.eigh(_spread(offset, weight))[1][:, -1]

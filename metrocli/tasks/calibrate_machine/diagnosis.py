@@ -34,7 +34,7 @@ from metrocli.tasks.calibrate_machine.effects import OF_BALLS, OF_LENGTHS, OF_LI
 from metrocli.tasks.calibrate_machine.problem import ALL_SIDES, ERROR_BLOCKS, PLACES_OF_AXES
 from metrocli.tasks.calibrate_machine.solve import AdjustedMachine, refitted
 from metrocli.tasks.shared.diagnosed import FOLDS, in_parts, of_beam
-from metrocli.tasks.shared.noise import POINTS_IN_TIME, NoiseFound, count, in_blocks, noise_found
+from metrocli.tasks.shared.noise import POINTS_IN_TIME, JobNoise, count, in_blocks, job_noise
 
 _NO_STOPS = "the machine does not stop at the readings"
 _PIECES = "the readings are averages over pieces of the path longer than a pitch; a job may name it with its period"
@@ -156,7 +156,7 @@ def _parts(group: Group) -> Index:
     return in_parts(when, FOLDS)
 
 
-def noise_of(solved: AdjustedMachine, model: str, factor: float) -> NoiseFound:
+def noise_of(solved: AdjustedMachine, model: str, factor: float) -> JobNoise:
     """Return the noise of a solved calibration.
 
     Raises UndeterminedError for fewer than five lines or legs, or ten points, if it is structured.
@@ -166,7 +166,7 @@ def noise_of(solved: AdjustedMachine, model: str, factor: float) -> NoiseFound:
     delivered = tuple(name for name in ERROR_BLOCKS if name in blocks and blocks[name].free.any())
     places = (name for name in PLACES_OF_AXES if name in blocks)
     estimates = (*places, *tools, *free_blocks(solved.problem.effects))
-    return noise_found((solved.solution, factor), model, lambda: clusters_of(solved), estimates, delivered)
+    return job_noise((solved.solution, factor), model, lambda: clusters_of(solved), estimates, delivered)
 
 
 def clusters_of(solved: AdjustedMachine) -> Clusters:

@@ -49,21 +49,21 @@ from metrocli.tasks.calibrate_machine.warnings import (
     misplaced,
     uncontrolled,
 )
-from metrocli.tasks.shared.noise import NoiseFound
+from metrocli.tasks.shared.noise import JobNoise
 from metrocli.tasks.shared.statistics import (
     Statistics,
     basic_statistics,
     estimates_of_block,
-    found_notes,
+    job_noise_notes,
     noise_notes,
-    with_found,
+    with_job_noise,
 )
 from metrocli.tasks.shared.uncontrolled import TABLE, in_words
 
 SIGN = "actual minus commanded"
 
 
-def report(solved: AdjustedMachine, settings: Settings, noise: NoiseFound, listed: Table | None = None) -> Result:
+def report(solved: AdjustedMachine, settings: Settings, noise: JobNoise, listed: Table | None = None) -> Result:
     """Return the result of a solved calibration; `listed` are the positions of kinematic tests."""
     solution, added = noise.solution, solved.problem.effects
     tables = tables_of(solved.problem.machine, solution, settings.scales)
@@ -86,7 +86,7 @@ def report(solved: AdjustedMachine, settings: Settings, noise: NoiseFound, liste
         title="",
         estimates=estimates,
         covariance=solution.joint((*_places(solution), *tools, *free_blocks(added))),
-        statistics=with_found(_statistics(solved, settings), noise),
+        statistics=with_job_noise(_statistics(solved, settings), noise),
         tables={
             **{f"tables/{name}": _table(tables, name, identified) for name in _wanted(identified)},
             "errors": _errors(tables, identified),
@@ -127,7 +127,7 @@ def report(solved: AdjustedMachine, settings: Settings, noise: NoiseFound, liste
     )
 
 
-def _notes(solved: AdjustedMachine, settings: Settings, noise: NoiseFound) -> Iterator[str]:
+def _notes(solved: AdjustedMachine, settings: Settings, noise: JobNoise) -> Iterator[str]:
     """Yield what the machine was measured and adjusted with, in sentences."""
     yield from identifiability_notes(solved.identified)
     yield from solved.problem.notes
@@ -135,7 +135,7 @@ def _notes(solved: AdjustedMachine, settings: Settings, noise: NoiseFound) -> It
     yield from solved.problem.noise.notes if solved.problem.noise else ()
     if not solved.problem.positioning_alone:
         yield NOT_CONTAINED
-    yield from found_notes(noise)
+    yield from job_noise_notes(noise)
     yield from noise_notes(noise.solution, cures(settings))
 
 

@@ -229,7 +229,7 @@ class Settings:
         for letter in () if self.angular else self.machine.axes.turning:
             if letter not in self.machine.letters:
                 where, chain = f"machine.axes.{letter.lower()}", self.machine.chain
-                yield where, f"the chain {chain} has no {letter}: add it there, or leave this"
+                yield where, f"the chain {chain} has no {letter}: add it there, or leave this key out"
         if self.machine.turns or self.angular:
             pass
         elif missing == ["X", "Y", "Z"]:

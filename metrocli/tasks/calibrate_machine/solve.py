@@ -139,7 +139,7 @@ class _KeptReadings:
     def without_gross(self) -> _KeptReadings:
         """Return the problem without the readings that are far off at its values."""
         unknowns = sum(int(block.free.sum()) for block in self.identified.blocks.values())
-        # a robust fit meets as many readings as it has unknowns exactly: their median is no scale if they are the most
+        # a robust fit meets as many readings as it has unknowns exactly: their median is not a scale if they are most
         if not len(self.problem.names) > 2 * unknowns:
             return self
         far = gross(self.problem.readings, self.problem.blocks)

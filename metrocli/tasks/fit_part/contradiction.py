@@ -203,7 +203,7 @@ def all_inside(level: Array, of_mesh: bool) -> str:
 def must_be_determined(stock: Stock, to_part: Array, aim: str) -> tuple[str, ...]:
     """Raise UndeterminedError if the points leave a motion of the part open that its aim does not decide.
 
-    For least-motion an open motion is no fault: the part stays there as it was. Returns sentences about that.
+    For least-motion an open motion is not a fault: the part stays there as it was. Returns sentences about that.
     """
     local = stock.at(to_part)
     smooth = stock.smooth_rows(local)
@@ -248,7 +248,7 @@ def _null_space(smooth: Array, rows: Array) -> list[Array]:
     eigenvalues, vectors = np.linalg.eigh(smooth.T @ smooth)
     with_facets = ((rows @ vectors) ** 2).sum(axis=0)
     steps = vectors[:, eigenvalues < np.maximum(_OPEN**2 * eigenvalues[-1], _OF_FACETS**2 * with_facets)]
-    # turned so that as many steps as can be have no turn: a mixture of turns and shifts would be no words
+    # turned so that as many steps as can be have no turn: a mixture of turns and shifts would not be in words
     _, _, mix = np.linalg.svd(steps[3:], full_matrices=True)
     steps = (steps @ mix.T).T
     turned = ~_is_shift(steps)

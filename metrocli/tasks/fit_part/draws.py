@@ -1,4 +1,7 @@
-"""Random draws of points, and the fit of each."""
+"""The covariance of a fitted pose from random draws of the errors of its points, and the fit of each draw.
+
+A linear covariance does not hold where errors bring other points to the minimum overstock than those of the fit.
+"""
 
 from __future__ import annotations
 
@@ -72,15 +75,15 @@ def sensitivity_of_draws(fit: PoseFit, aim: PoseCriterion, start: Array, places:
     for k in range(DRAWS):
         error = draw(rng)
         errors[k], gradients[k] = np.einsum("na,na->n", outward, error), by_error @ error.ravel()
-        best, level = _solved(
+        best, by_each = _solved(
             programme.hessian, programme.gradient + gradients[k], aim, rows, local.overstock + errors[k], radius
         )
         steps[k] = best.x
         of_gradient, active, of_bounds = _response(programme.hessian, rows, best)
         by_gradient -= of_gradient / DRAWS
         by_overstock[active] -= of_bounds.T / DRAWS
-        by_overstock += level[:, None] * of_bounds.sum(axis=1) / DRAWS
-    # what follows the errors of no point in proportion: other points hold the part in some draws
+        by_overstock += by_each[:, None] * of_bounds.sum(axis=1) / DRAWS
+    # what is not proportional to the errors of any point: in some draws other points hold the part
     rest = steps - errors @ by_overstock - gradients @ by_gradient.T
     by_point = by_gradient @ programme.by_point + by_overstock[:, :, None] * outward[:, None, :]
     own = np.einsum("nia,nab,njb->ij", by_point, places.own, by_point, optimize=True) + rest.T @ rest / DRAWS
@@ -109,18 +112,18 @@ def _solved(
 ) -> tuple[Optimum, Array]:
     """Return the step of a draw, and the derivative of the least overstock that it keeps by that of each point (n,).
 
-    That is the minimum, with derivative 0. For `most`, and where no step within radius leaves the minimum, it is the
-    largest one.
+    The least overstock that it keeps is the given minimum, with derivative 0. For `most`, and where no step within the
+    radius leaves the minimum, it is the largest possible one.
     """
     if aim.name != MOST:
         best = quadratic(hessian, gradient, rows, aim.minimum - overstock)
         if best is not None and np.abs(best.x).max() < radius:
             return best, np.zeros(len(overstock))
-    held, least = highest(rows, overstock, radius)
-    best = quadratic(hessian, gradient, rows, least - SLACK - overstock)
+    most, largest = highest(rows, overstock, radius)
+    best = quadratic(hessian, gradient, rows, largest - SLACK - overstock)
     if best is None:
         raise NotConvergedError("a fit to points with drawn errors has no solution")
-    return best, held.duals
+    return best, most.duals
 
 
 def _response(hessian: Array, rows: Array, optimum: Optimum) -> tuple[Array, Index, Array]:
@@ -131,7 +134,7 @@ def _response(hessian: Array, rows: Array, optimum: Optimum) -> tuple[Array, Ind
     active = np.flatnonzero(optimum.duals > 0)
     held = rows[active]
     system = np.block([[hessian, -held.T], [held, np.zeros((len(active), len(active)))]])
-    # more points can hold a pose than it has degrees of freedom: then it is singular
+    # more points can hold a pose than it has degrees of freedom: then the system is singular
     inverse = np.linalg.pinv(system, rcond=1e-13)
     return inverse[:6, :6], active, inverse[:6, 6:]
 
@@ -151,7 +154,7 @@ def drawing(places: PredictedPlaces) -> Callable[[np.random.Generator], Array]:
     alone = np.swapaxes(vectors, 1, 2) @ places.common / np.maximum(size, 1e-300)[:, :, None]
     basis, rest = np.linalg.qr(alone.reshape(3 * n, k))
     shared, turned = np.linalg.eigh(rest @ places.core @ rest.T)
-    # below -1 by rounding only
+    # an eigenvalue is below -1 by rounding only
     gain = np.sqrt(np.maximum(1 + shared, 0.0)) - 1
     along = basis @ turned
 

@@ -197,7 +197,7 @@ def fit(stock: Stock, aim: PoseCriterion, to_part: Array) -> PoseFit:
     duals, objective = np.zeros(len(stock.measured)), aim.objective(local)
     for iteration in range(_ITERATIONS):
         hessian, _ = convex(objective, local, duals)
-        # a point that is below the minimum by rounding may stay: to bring it back is no step of the aim
+        # a point that is below the minimum by rounding may stay: to bring it back is not a step of the aim
         bounds = np.minimum(aim.minimum - local.overstock, 0.0)
         solved = quadratic(hessian, objective.gradient, local.rows, bounds)
         if solved is None:

@@ -17,11 +17,11 @@ from metrocli.frozen import dataclass
 from metrocli.tasks.fit_part.stock import Nominal, Stock
 
 SAMPLE = 3000
-"""Points with which the fit of more than twice as many begins: they give a pose near its own"""
+"""Points with which the fit of more than twice as many begins: their pose is near that of all"""
 OUTLIER_LIMIT = 6.0
 """Distance from the level, in standard deviations of the scatter, beyond which a point is left out
 
-Beyond 3 there are some of many good points; beyond 6 hardly one, also where the scatter of a few is taken too small.
+Of many good points some are beyond 3, and hardly one beyond 6, even where the scatter of a few is estimated too small.
 """
 _ROUNDS = 15
 """Most rounds of assigned surfaces and a robust step"""
@@ -55,7 +55,7 @@ class Levels:
     deviation: Array
     """Distance of each point from the level of its surface (n,) [mm]"""
     scatter: Array
-    """Standard deviation with which it is compared (n,) [mm]"""
+    """Standard deviation with which the deviation of each point is compared (n,) [mm]"""
 
     @property
     def outlying(self) -> Mask:
@@ -107,12 +107,11 @@ def robust_step(rows: Array, overstock: Array, surface: Index, count: int) -> tu
     step, residuals = np.zeros(6), overstock
     for _ in range(_REWEIGHTINGS):
         total = np.maximum(np.bincount(surface, weights, count), 1e-300)
-
-        def centred(values: Array, weights: Array = weights, total: Array = total) -> Array:
-            return values - (np.bincount(surface, weights * values, count) / total)[surface]
-
-        design = np.stack([centred(column) for column in rows.T], axis=1)
-        goal = centred(overstock)
+        # without the weighted mean of each surface: this eliminates the levels
+        *columns, goal = (
+            values - (np.bincount(surface, weights * values, count) / total)[surface] for values in (*rows.T, overstock)
+        )
+        design = np.stack(columns, axis=1)
         normals = (design * weights[:, None]).T @ design
         step = -np.linalg.pinv(normals, rcond=1e-10, hermitian=True) @ ((design * weights[:, None]).T @ goal)
         residuals = goal + design @ step
@@ -130,6 +129,6 @@ def scatter_of(deviation: Array, surface: Index, count: int, sigma: Array) -> Ar
     of_surface = np.where(
         np.bincount(surface, minlength=count) >= _LEAST_POINTS, _SIGMA_PER_MAD * medians_of(size, surface, count), 0.0
     )
-    # a nanometre: rounding of exact points is no outlier
+    # a nanometre: rounding of exact points is not an outlier
     least = np.maximum(sigma, 1e-6)
     return np.asarray(np.maximum(np.maximum(np.nan_to_num(of_surface)[surface], of_all), least))

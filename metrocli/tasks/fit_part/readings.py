@@ -76,41 +76,41 @@ def read(settings: Settings, points: Table | Result, names: tuple[str, ...], of_
         raise InputError("the result among the inputs has no table of points: a camera needs `rig: network`")
     with all_faults() as each:
         with each():
-            places = _points(settings, points, table)
+            measured = _points(settings, points, table)
         with each():
-            chosen = _chosen_targets(settings, table)
+            target = _chosen_targets(settings, table)
         with each():
-            written = _written(settings, table, () if of_mesh else names)
-    named = np.array([bool(name) and name != TARGET_WORD for name in written])
-    target = chosen | np.array([name == TARGET_WORD for name in written])
-    warnings, apart = [], np.zeros(len(written), dtype=bool)
+            surfaces = _written_surfaces(settings, table, () if of_mesh else names)
+    named = np.array([bool(name) and name != TARGET_WORD for name in surfaces])
+    target |= np.array([name == TARGET_WORD for name in surfaces])
+    warnings, left_out = [], np.zeros(len(surfaces), dtype=bool)
     if named.any() and not target.any():
         target = ~named
     elif named.any() and not of_mesh:
-        apart = ~named & ~target
-    if apart.any():
-        left = [name for name, is_apart in zip(places.names, apart, strict=True) if is_apart]
+        left_out = ~named & ~target
+    if left_out.any():
+        rest = measured.of(left_out).names
         warnings.append(
-            f"{len(left)} points are neither on a surface nor among `targets` and are left out: {listed(left, 5)}"
+            f"{len(rest)} points are neither on a surface nor among `targets` and are left out: {listed(rest, 5)}"
         )
     if of_mesh and named.any():
         warnings.append("the surfaces named for the points are not used: the triangles of a mesh have no names")
     surface = None
     if named.any() and not of_mesh:
         number = {name: n for n, name in enumerate(names)}
-        surface = np.array([number.get(name, 0) for name in written], dtype=np.intp)[~target & ~apart]
-    if (target | apart).all():
+        surface = np.array([number.get(name, 0) for name in surfaces], dtype=np.intp)[~target & ~left_out]
+    if (target | left_out).all():
         raise InputError([table.fault("there is no point of a surface", "name surfaces in the column `surface`")])
-    if not places.covariance.any():
+    if not measured.covariance.any():
         warnings.append(
             "the points are taken as exact: give a column sigma_mm, or `noise: 0.05 mm`, to get uncertainties"
         )
     growth = _growth(settings, points)
-    return PartReadings(places.of(~target & ~apart), surface, places.of(target), growth, tuple(warnings))
+    return PartReadings(measured.of(~target & ~left_out), surface, measured.of(target), growth, tuple(warnings))
 
 
 def _growth(settings: Settings, points: Table | Result) -> dict[str, float]:
-    """Return the growth of the part from 20 degC that the points are free of, of this job or of theirs."""
+    """Return the growth of the part from 20 degC that the points are free of, by this job or by that of the points."""
     if settings.part is not None:
         return settings.part.facts
     return growth_of(points) if isinstance(points, Result) else {}
@@ -153,9 +153,9 @@ def _chosen_targets(settings: Settings, table: Table) -> Mask:
     chosen = np.zeros(len(names), dtype=bool)
     faults = []
     for pattern in settings.targets:
-        hit = np.array([fnmatchcase(name, pattern) for name in names])
-        chosen |= hit
-        if not hit.any():
+        rows = np.array([fnmatchcase(name, pattern) for name in names])
+        chosen |= rows
+        if not rows.any():
             faults.append(
                 Fault(f"targets: no point has the name '{pattern}'", table.file, hint=suggestion(pattern, names))
             )
@@ -164,8 +164,8 @@ def _chosen_targets(settings: Settings, table: Table) -> Mask:
     return chosen
 
 
-def _written(settings: Settings, table: Table, known: tuple[str, ...]) -> list[str]:
-    """Return the surface that the job or the file gives for each point, empty without one."""
+def _written_surfaces(settings: Settings, table: Table, known: tuple[str, ...]) -> list[str]:
+    """Return the surface that the file gives for each point, or the job, which wins; empty without one."""
     names = table.texts("point")
     written = list(table.texts("surface")) if "surface" in table else [""] * len(names)
     faults = []
@@ -175,10 +175,10 @@ def _written(settings: Settings, table: Table, known: tuple[str, ...]) -> list[s
                 Fault(f"surfaces: the ideal part has no surface '{surface}'", hint=suggestion(surface, known))
             )
         for pattern in patterns:
-            hit = [row for row, name in enumerate(names) if fnmatchcase(name, pattern)]
-            if not hit:
+            rows = [row for row, name in enumerate(names) if fnmatchcase(name, pattern)]
+            if not rows:
                 faults.append(Fault(f"surfaces: no point has the name '{pattern}'", table.file))
-            for row in hit:
+            for row in rows:
                 written[row] = surface
     wrong = [row for row, name in enumerate(written) if known and name and name != TARGET_WORD and name not in known]
     if "surface" in table:

@@ -158,7 +158,7 @@ class Settings:
     inputs: Any = setting(Section(Inputs), "the files of the job")
     overstock: Overstock = setting(Section(Overstock), "the overstock that is wanted")
     targets: tuple[str, ...] = setting(
-        ListOf(Text()), "names of coded targets among the points, such as T*, which are no points of a surface", ()
+        ListOf(Text()), "names of coded targets among the points, such as T*, which are not points of a surface", ()
     )
     surfaces: Mapping[str, tuple[str, ...]] = setting(
         MapOf(ListOf(Text())), "names of the points of a surface, such as top: [P1*], instead of a column", {}

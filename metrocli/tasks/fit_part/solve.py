@@ -13,8 +13,7 @@ from metrocli.geometry import poses
 from metrocli.geometry.triangles import Triangles
 from metrocli.result import Result
 from metrocli.table import Table
-from metrocli.tasks.fit_part import contradiction as c
-from metrocli.tasks.fit_part import readings as r
+from metrocli.tasks.fit_part import contradiction
 from metrocli.tasks.fit_part.draws import sensitivity_with_exchanges
 from metrocli.tasks.fit_part.fit import (
     EVEN,
@@ -31,6 +30,7 @@ from metrocli.tasks.fit_part.ideal import ideal, must_be_of_one_size
 from metrocli.tasks.fit_part.levels import Levels, robust_levels
 from metrocli.tasks.fit_part.misread import misread
 from metrocli.tasks.fit_part.nominals import OfMesh, OfSurfaces
+from metrocli.tasks.fit_part.readings import PartReadings, read
 from metrocli.tasks.fit_part.settings import NominalFile, PartStart, Settings
 from metrocli.tasks.fit_part.start import searched_pose, unturned
 from metrocli.tasks.fit_part.stock import Stock
@@ -39,8 +39,8 @@ from metrocli.tasks.shared.part import Part
 
 _EVENER = 0.5
 """Ratio of the variations of the overstock below which a surface is taken as turned over"""
-_LAID_ON = 1000
-"""Points that are laid on without a search, at most"""
+_FEW = 1000
+"""Points that are tried before all, at most: to lay them on without a search, and to compare with the minimum"""
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class Prepared:
     """A job whose files fit together."""
 
     nominal: OfSurfaces | OfMesh
-    readings: r.PartReadings
+    readings: PartReadings
     start: Array
     """Pose into the part frame that the job gives (6,)"""
     part: Part | None = None
@@ -78,19 +78,20 @@ class FittedPart:
 
 def prepare(settings: Settings, nominal: NominalFile | Triangles, points: Table | Result) -> Prepared:
     """Return ideal part and readings of a job; raises InputError with what is wrong with the files."""
-    part = ideal(nominal, settings.nominal_unit)
-    of_mesh = isinstance(part, OfMesh)
-    names = () if isinstance(part, OfMesh) else part.names
-    readings = r.read(settings, points, names, of_mesh)
-    if isinstance(part, OfMesh):
-        must_be_of_one_size(part.triangles, readings.surface_points.points, settings.nominal_unit)
-    return Prepared(part, readings, start_of(settings.start), settings.part)
+    geometry = ideal(nominal, settings.nominal_unit)
+    if isinstance(geometry, OfMesh):
+        readings = read(settings, points, (), of_mesh=True)
+        must_be_of_one_size(geometry.triangles, readings.surface_points.points, settings.nominal_unit)
+    else:
+        readings = read(settings, points, geometry.names, of_mesh=False)
+    return Prepared(geometry, readings, start_of(settings.start), settings.part)
 
 
 def start_of(start: PartStart) -> Array:
     """Return the pose into the part frame (6,) that a job gives."""
-    at = np.array([getattr(start, name) for name in poses.EULER])
-    return poses.inverse(poses.pose_from_euler(at[:3], at[3:]))
+    values = np.array([getattr(start, name) for name in poses.EULER])
+    # the job gives the pose of the part in the frame of the points
+    return poses.inverse(poses.pose_from_euler(values[:3], values[3:]))
 
 
 def solve(settings: Settings, prepared: Prepared) -> FittedPart:
@@ -99,44 +100,52 @@ def solve(settings: Settings, prepared: Prepared) -> FittedPart:
     Raises InputError for surfaces turned over, UndeterminedError if the points leave the pose open or no pose has the
     minimum overstock, NotConvergedError.
     """
-    nominal, places = prepared.nominal, prepared.readings.surface_points
-    rough = _rough(prepared)
-    surface = prepared.readings.surface
-    even = robust_levels(nominal, places.points, surface, rough, places.sigma)
-    used = ~even.outlying if settings.outliers == "remove" else np.ones(len(places.points), dtype=bool)
-    stock = even.stock.of(used)
+    nominal, places, surface = prepared.nominal, prepared.readings.surface_points, prepared.readings.surface
+    levels = robust_levels(nominal, places.points, surface, _rough(prepared), places.sigma)
+    used = ~levels.outlying if settings.outliers == "remove" else np.ones(len(places.points), dtype=bool)
+    stock = levels.stock.of(used)
     name, minimum = settings.overstock.aim, settings.overstock.minimum
-    open_motions = c.must_be_determined(stock, even.to_part, name)
+    open_motions = contradiction.must_be_determined(stock, levels.to_part, name)
     # points that leave a motion open fit in whatever way they are read
-    other: tuple[str, ...] = ()
+    doubts: tuple[str, ...] = ()
     if isinstance(nominal, OfSurfaces) and surface is not None and not open_motions:
-        other = tuple(misread(nominal, even, prepared.start))
-    turned = reversed_surfaces(stock, nominal, even.to_part) if isinstance(nominal, OfSurfaces) else []
-    highest, largest, holding = max_least_overstock_of_many(stock, even.to_part)
-    if not c.feasible(largest, minimum):
-        contradictions = c.contradictions(stock, minimum, highest)
-        wrong_side = c.wrong_side(turned) if turned else c.all_inside(even.level, isinstance(nominal, OfMesh))
-        hint = other[0] if other else wrong_side
-        raise c.refuse(contradictions, places.of(used).names, minimum, largest, hint)
+        doubts = tuple(misread(nominal, levels, prepared.start))
+    turned = reversed_surfaces(stock, nominal, levels.to_part) if isinstance(nominal, OfSurfaces) else []
+    wrong_side = (contradiction.wrong_side(turned),) if turned else ()
+    highest, largest, duals = max_least_overstock_of_many(stock, levels.to_part)
+    if not contradiction.feasible(largest, minimum):
+        contradictions = contradiction.contradictions(stock, minimum, highest)
+        all_inside = contradiction.all_inside(levels.level, isinstance(nominal, OfMesh))
+        hint = (*doubts, *wrong_side, all_inside)[0]
+        raise contradiction.refuse(contradictions, places.of(used).names, minimum, largest, hint)
     # a negative minimum allows for missing material, and surfaces without it look the same
-    doubts = [c.wrong_side(turned)] if turned else []
-    if doubts and minimum >= 0:
-        raise InputError(doubts[0])
+    if wrong_side and minimum >= 0:
+        raise InputError(wrong_side[0])
     if name == MOST and not np.isfinite(largest):
         raise UndeterminedError("the least overstock has no limit: no surface faces the others; use another aim")
-    # nearer to what is sought than the largest least overstock, where they are allowed: no motion, and the even fit
-    near = {LEAST_MOTION: (prepared.start, even.to_part), EVEN: (even.to_part,)}.get(name, ())
+    # no motion and the even fit are nearer to what is sought than the largest least overstock, if they keep the minimum
+    near = {LEAST_MOTION: (prepared.start, levels.to_part), EVEN: (levels.to_part,)}.get(name, ())
     begin = next((to_part for to_part in near if _has_the_minimum(stock, minimum, to_part)), highest)
-    aim, fitted = fitted_part(stock, name, minimum, (begin, largest, holding), prepared.start)
-    sense = sensitivity_with_exchanges(fitted, aim, prepared.start, places.of(used).places)
-    warnings = (*prepared.readings.warnings, *open_motions, *doubts)
-    return FittedPart(prepared, even, used, stock, aim, fitted, min(minimum, largest), largest, sense, warnings, other)
+    aim, fitted = fitted_part(stock, name, minimum, (begin, largest, duals), prepared.start)
+    return FittedPart(
+        prepared=prepared,
+        levels=levels,
+        used=used,
+        stock=stock,
+        aim=aim,
+        fit=fitted,
+        minimum=min(minimum, largest),
+        largest=largest,
+        sensitivity=sensitivity_with_exchanges(fitted, aim, prepared.start, places.of(used).places),
+        warnings=(*prepared.readings.warnings, *open_motions, *wrong_side),
+        doubts=doubts,
+    )
 
 
 def _has_the_minimum(stock: Stock, minimum: float, to_part: Array) -> bool:
     """Return whether a pose (6,) leaves the minimum everywhere."""
-    # far from a mesh each point costs a long search, and one of a thousand mostly answers
-    some = stock.of(np.random.default_rng(1).permutation(len(stock.measured))[:_LAID_ON])
+    # far from a mesh each point costs a long search, and a thousand points mostly have one that is too low
+    some = stock.of(np.random.default_rng(1).permutation(len(stock.measured))[:_FEW])
     return all(bool(points.at(to_part).overstock.min() >= minimum) for points in (some, stock))
 
 
@@ -149,10 +158,10 @@ def _rough(prepared: Prepared) -> Array:
     nominal, places, surface = prepared.nominal, prepared.readings.surface_points, prepared.readings.surface
     if surface is None:
         n = len(places.points)
-        some = np.random.default_rng(1).permutation(n)[:_LAID_ON]
+        some = np.random.default_rng(1).permutation(n)[:_FEW]
         pose = unturned(nominal, places.points, prepared.start)
         laid = robust_levels(nominal, places.points[some], None, pose, places.sigma[some])
-        if c.open_motions(laid.stock, laid.to_part):
+        if contradiction.open_motions(laid.stock, laid.to_part):
             return laid.to_part
     return searched_pose(nominal, places.points, surface, prepared.start)
 

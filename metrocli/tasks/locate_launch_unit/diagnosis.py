@@ -26,7 +26,7 @@ from metrocli.tasks.locate_launch_unit import KIND
 from metrocli.tasks.locate_launch_unit.effects import EFFECTS
 from metrocli.tasks.locate_launch_unit.solve import Located
 from metrocli.tasks.shared.diagnosed import FOLDS, in_parts
-from metrocli.tasks.shared.noise import NoiseFound, noise_found
+from metrocli.tasks.shared.noise import JobNoise, job_noise
 from metrocli.tasks.shared.uncontrolled import SCALE, SCALE_WORDS, Hidden, table_of
 
 
@@ -95,7 +95,7 @@ def _beam(model: Model, group: Group) -> Array:
     return np.ascontiguousarray((model.blocks[lu.RECEIVER].values[_pose(group)] - place).T)
 
 
-def noise_of(located: Located, model: str, factor: float) -> NoiseFound | None:
+def noise_of(located: Located, model: str, factor: float) -> JobNoise | None:
     """Return the noise of a located unit; None for methods without residuals of all readings.
 
     Raises UndeterminedError for fewer than five poses if it is structured.
@@ -104,7 +104,7 @@ def noise_of(located: Located, model: str, factor: float) -> NoiseFound | None:
         return None
     pose = {group.name: group.observations.index[lu.RECEIVER] for group in located.used}
     estimates = (lu.UNIT, *free_blocks(located.problem.effects))
-    return noise_found((located.solution, factor), model, lambda: Clusters(pose, "poses"), estimates)
+    return job_noise((located.solution, factor), model, lambda: Clusters(pose, "poses"), estimates)
 
 
 _OFFSET = units.parse_quantity("10 um", "length")

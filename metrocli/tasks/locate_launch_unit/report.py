@@ -19,15 +19,15 @@ from metrocli.tasks.locate_launch_unit.problem import LaunchUnitProblem
 from metrocli.tasks.locate_launch_unit.readings import AlignedPoses
 from metrocli.tasks.locate_launch_unit.solve import Located
 from metrocli.tasks.shared.environment import blocks_of, estimates_of
-from metrocli.tasks.shared.noise import NoiseFound
+from metrocli.tasks.shared.noise import JobNoise
 from metrocli.tasks.shared.statistics import (
     REMOVE,
     basic_statistics,
     beyond_bound,
-    found_notes,
+    job_noise_notes,
     noise_notes,
     noise_warnings,
-    with_found,
+    with_job_noise,
 )
 from metrocli.tasks.shared.uncontrolled import TABLE, in_words
 from metrocli.words import listed
@@ -36,7 +36,7 @@ UNITS = ("mm", "mm", "mm", "rad")
 _TABLES = {"angles": tuple(lu.ENCODERS), "distances": (lu.DISTANCE,)}
 
 
-def report(located: Located, method: str, noise: NoiseFound | None) -> Result:
+def report(located: Located, method: str, noise: JobNoise | None) -> Result:
     """Return the result of a located unit."""
     covariance = located.covariance if noise is None else noise.solution.covariance_or_raise().of(lu.UNIT)
     std = np.sqrt(np.diag(covariance))
@@ -67,7 +67,7 @@ def _as_adjusted(
     located: Located,
     problem: LaunchUnitProblem,
     solution: Solution,
-    noise: NoiseFound,
+    noise: JobNoise,
     unit: tuple[Estimate, ...],
     method: str,
 ) -> Result:
@@ -90,11 +90,11 @@ def _as_adjusted(
         title="",
         estimates=delivered,
         covariance=noise.solution.joint((lu.UNIT, *blocks_of(noise.solution), *free_blocks(problem.effects))),
-        statistics=with_found(statistics, noise),
+        statistics=with_job_noise(statistics, noise),
         tables={"beams": beams, **residuals, "outliers": outliers, TABLE: hidden, **effects},
         arrays=arrays,
         shown=(ShownTable("beams"), *((ShownTable("outliers"),) if len(outliers) else ())),
-        notes=(*_of_air(located), *found_notes(noise), *noise_notes(solution, cures=(REMOVE,)), *in_words(hidden)),
+        notes=(*_of_air(located), *job_noise_notes(noise), *noise_notes(solution, cures=(REMOVE,)), *in_words(hidden)),
         details=noise.details([estimate.name for estimate in delivered]),
         plain=("dof",),
         warnings=(

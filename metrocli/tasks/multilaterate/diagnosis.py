@@ -29,7 +29,7 @@ from metrocli.tasks.multilaterate.problem import LENGTHS
 from metrocli.tasks.multilaterate.solve import AdjustedTracers, refitted
 from metrocli.tasks.shared.diagnosed import FOLDS, in_order, in_parts, of_beam
 from metrocli.tasks.shared.environment import blocks_of
-from metrocli.tasks.shared.noise import POINTS_IN_TIME, NoiseFound, count, in_blocks, noise_found
+from metrocli.tasks.shared.noise import POINTS_IN_TIME, JobNoise, count, in_blocks, job_noise
 from metrocli.units import parse_quantity
 
 _CORNERS = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=float)
@@ -204,7 +204,7 @@ def _with_bar(model: Model, ends: tuple[int, int]) -> Model:
     return replace(model, groups=(*model.groups, bar.with_observations(bar.simulated(model.blocks).observations)))
 
 
-def noise_of(solved: AdjustedTracers, model: str, factor: float) -> NoiseFound:
+def noise_of(solved: AdjustedTracers, model: str, factor: float) -> JobNoise:
     """Return the noise of a solved network; raises UndeterminedError for fewer than ten points if it is structured."""
     estimates = (t.TRACER, *blocks_of(solved.solution), *free_blocks(solved.network.effects))
 
@@ -213,7 +213,7 @@ def noise_of(solved: AdjustedTracers, model: str, factor: float) -> NoiseFound:
         free = solved.network.datum is not None
         return Clusters({solved.group.name: clusters_of(solved)}, POINTS_IN_TIME, grows=False, free=free)
 
-    return noise_found((solved.solution, factor), model, clusters, estimates)
+    return job_noise((solved.solution, factor), model, clusters, estimates)
 
 
 def clusters_of(solved: AdjustedTracers) -> Index:

@@ -24,7 +24,7 @@ from metrocli.tasks.shared.features.report import FEATURES, SHOWN, exchanging, f
 from metrocli.tasks.shared.features.requested import RequestedFeature
 from metrocli.tasks.shared.joint_covariance import factors
 from metrocli.tasks.shared.lists import name_of
-from metrocli.tasks.shared.noise import NoiseFound
+from metrocli.tasks.shared.noise import JobNoise
 from metrocli.tasks.shared.part import Part
 from metrocli.tasks.shared.statistics import (
     REMOVE,
@@ -34,12 +34,12 @@ from metrocli.tasks.shared.statistics import (
     columns_with_std,
     condition_columns,
     estimates_of_block,
-    found_notes,
+    job_noise_notes,
     left_out,
     noise_notes,
     noise_warnings,
     reliability,
-    with_found,
+    with_job_noise,
 )
 from metrocli.tasks.shared.uncontrolled import in_words
 from metrocli.uncertainty.predicted import COMMON, CORE
@@ -56,7 +56,7 @@ _ELSEWHERE = 0.5
 
 def report(
     solved: AdjustedTracers,
-    noise: NoiseFound,
+    noise: JobNoise,
     probing: Probing | None,
     features: Sequence[RequestedFeature],
     part: Part | None = None,
@@ -81,7 +81,7 @@ def report(
         title="",
         estimates=delivered,
         covariance=solution.joint((t.TRACER, *blocks_of(solution), *free_blocks(added))),
-        statistics=with_found(_statistics(solved, solution), noise) | ({} if part is None else part.facts),
+        statistics=with_job_noise(_statistics(solved, solution), noise) | ({} if part is None else part.facts),
         tables=tables,
         arrays=arrays,
         warnings=(
@@ -94,7 +94,7 @@ def report(
             *(() if solved.network.air is None else (solved.network.air.note,)),
             *(() if part is None else (part.note,)),
             *solved.network.noise.notes,
-            *found_notes(noise),
+            *job_noise_notes(noise),
             *noise_notes(solution, cures=(REMOVE,)),
             *exchanging(tables),
             *in_words(hidden),

@@ -72,7 +72,7 @@ def _of_none(what: str, name: str, node: Node, wanted: Mapping[str, LocatedValue
 
 
 def _unit_of(measurand: LocatedValue) -> Compound | None:
-    """Return the unit of a measurand; None for one that is no unit, which is a fault of its own."""
+    """Return the unit of a measurand; None for one that is not a unit, which is a fault of its own."""
     try:
         return compound("" if measurand.value.unit == "1" else measurand.value.unit)
     except units.QuantityError:

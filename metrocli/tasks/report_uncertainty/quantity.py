@@ -175,7 +175,7 @@ def _width(measure: Measure, best: Measure) -> float:
     if best.unit.point:
         raise _Wrong(key, f"'{text}' of a temperature in degC has no meaning", "write it in K")
     if best.value == 0:
-        raise _Wrong(key, f"'{text}' of a value of 0 is no uncertainty", f"write it in {best.unit.text}")
+        raise _Wrong(key, f"'{text}' of a value of 0 is not an uncertainty", f"write it in {best.unit.text}")
     return _not_negative(measure) * abs(best.value)
 
 

@@ -37,6 +37,10 @@ _MANY = 1e6
 """Degrees of freedom that are not reported: k is that of the normal distribution"""
 _PURE = ("trials", "covered")
 """Numbers of a Monte Carlo run that have no unit"""
+_ROUNDING = 1e-14
+"""A smaller relative std of trials is that of rounding errors"""
+_BINS, _LEAST_SHOWN = 60, 0.998
+"""Bins of a histogram of trials, and the share of the trials that it shows at least"""
 PLAIN = ("k", "dof", "probability", "trials", "covered", "gum_valid", "capable", "factor", *DECIDED)
 
 
@@ -73,9 +77,9 @@ def report(evaluation: BothMethods) -> Result:
     covariance = evaluation.propagated.covariance.copy()
     if evaluation.outcome is not None:
         # where the law of propagation does not apply, the covariance is that of the trials
-        missing = [n for n, m in enumerate(measurands) if m.linear.replaced]
-        covariance[missing, :] = evaluation.outcome.covariance[missing, :]
-        covariance[:, missing] = evaluation.outcome.covariance[:, missing]
+        replaced = [n for n, m in enumerate(measurands) if m.linear.replaced]
+        covariance[replaced, :] = evaluation.outcome.covariance[replaced, :]
+        covariance[:, replaced] = evaluation.outcome.covariance[:, replaced]
     covariance = covariance / factors[:, None] / factors
     statistics: dict[str, Any] = {"measurands": len(names), "quantities": len(evaluation.problem.inputs.quantities)}
     arrays = {}
@@ -108,22 +112,19 @@ def _correlation(covariance: Any) -> Any:
 
 def _measurand(evaluation: BothMethods, index: int, name: str) -> _Measurand:
     unit, linear = evaluation.problem.units[name], evaluation.propagated.measurands[name]
-    k, dof, probability = (
-        coverage_factor(evaluation.coverage, linear.dof),
-        linear.dof,
-        covered(evaluation.coverage, linear.dof),
-    )
+    k, probability = coverage_factor(evaluation.coverage, linear.dof), covered(evaluation.coverage, linear.dof)
     factor, mc = unit.factor, _monte_carlo(evaluation, index, probability)
     std, interval = linear.std, (linear.value - k * linear.std, linear.value + k * linear.std)
     if linear.replaced and mc is not None:
         std, interval = mc["std"], tuple(mc["interval"])
+        # a job states a probability or k, and the other one follows from the trials
         if evaluation.coverage.k is None:
             k = (interval[1] - interval[0]) / 2 / std if std > 0 else k
         else:
             interval = (mc["mean"] - k * std, mc["mean"] + k * std)
             probability = _share_within(evaluation, index, interval)
     details: dict[str, Any] = {
-        "U": k * std / factor, "k": k, "dof": dof, "probability": probability,
+        "U": k * std / factor, "k": k, "dof": linear.dof, "probability": probability,
         "interval": [end / factor for end in interval],
         "second_order": {"value": linear.second_value / factor, "std": linear.second_std / factor},
     }  # fmt: skip
@@ -131,7 +132,7 @@ def _measurand(evaluation: BothMethods, index: int, name: str) -> _Measurand:
     if mc is not None:
         mc["covered"] = _share_within(evaluation, index, interval) if mc["std"] else 1.0
         mc = details["mc"] = {key: item if key in _PURE else _scaled(item, factor) for key, item in mc.items()}
-        verdict = _verdict(evaluation, index, k, factor, mc)
+        verdict = _verdict(evaluation, index, name, k, mc)
     details["gum_valid"] = math.nan if verdict is None or verdict.valid is None else verdict.valid
     if evaluation.settings.tolerance and name in evaluation.settings.tolerance:
         details["tolerance"] = _decision(evaluation, index, name, std, k * std)
@@ -153,9 +154,10 @@ def _budget(evaluation: BothMethods, name: str, details: dict[str, Any]) -> Meas
     return replace(plain, target=wanted / unit.factor, needed=needed)
 
 
-def _verdict(evaluation: BothMethods, index: int, k: float, factor: float, mc: dict[str, Any]) -> Validation:
+def _verdict(evaluation: BothMethods, index: int, name: str, k: float, mc: dict[str, Any]) -> Validation:
     """Return the validation of the law of propagation by Monte Carlo (JCGM 101, 8), with u in the measurand's unit."""
-    linear, outcome = list(evaluation.propagated.measurands.values())[index], evaluation.outcome
+    linear, outcome = evaluation.propagated.measurands[name], evaluation.outcome
+    factor = evaluation.problem.units[name].factor
     assert outcome is not None
     if linear.replaced:
         return Validation(False, linear.notes)
@@ -196,10 +198,6 @@ def _share_within(evaluation: BothMethods, index: int, interval: tuple[float, fl
     return sample.below(interval[1] - centre) - sample.below(interval[0] - centre)
 
 
-_ROUNDING = 1e-14
-"""A smaller relative std of trials is that of rounding errors"""
-
-
 def _monte_carlo(evaluation: BothMethods, index: int, probability: float) -> dict[str, Any] | None:
     outcome = evaluation.outcome
     if outcome is None:
@@ -208,18 +206,14 @@ def _monte_carlo(evaluation: BothMethods, index: int, probability: float) -> dic
     mean, std = float(outcome.means[index]), math.sqrt(outcome.covariance[index, index])
     if std <= _ROUNDING * abs(mean):
         return {"mean": mean, "std": 0.0, "interval": [mean, mean], "shortest": [mean, mean], "trials": outcome.trials}
-    printed: dict[str, Any] = {
+    run: dict[str, Any] = {
         "mean": mean,
         "std": std,
         "interval": [end + centre for end in sample.symmetric(probability)],
         "shortest": [end + centre for end in sample.shortest(probability)],
         "trials": outcome.trials,
     }
-    return printed | ({"resolution": sample.resolution} if sample.resolution else {})
-
-
-_BINS, _MOST_SHOWN = 60, 0.998
-"""Bins of a histogram of trials, and the share of them that it shows at least"""
+    return run | ({"resolution": sample.resolution} if sample.resolution else {})
 
 
 def _histograms(evaluation: BothMethods, measurands: Sequence[_Measurand]) -> dict[str, Table]:
@@ -230,36 +224,34 @@ def _histograms(evaluation: BothMethods, measurands: Sequence[_Measurand]) -> di
         if outcome is None or not mc or not mc["std"]:
             continue
         factor, sample, centre = measurand.budget.factor, outcome.samples[index], outcome.centres[index]
-        ends = [*(end + centre for end in sample.symmetric(_MOST_SHOWN))]
+        ends = [*(end + centre for end in sample.symmetric(_LEAST_SHOWN))]
         ends += [end * factor for end in (*measurand.details["interval"], *mc["interval"])]
         edges = np.linspace(min(ends), max(ends), _BINS + 1)
         below = [sample.below(edge - centre) for edge in edges.tolist()]
         edges = edges / factor
-        rows += [
-            (measurand.name, edges[n], edges[n + 1], 100 * (below[n + 1] - below[n])) for n in range(len(edges) - 1)
-        ]
+        rows += [(measurand.name, edges[n], edges[n + 1], 100 * (below[n + 1] - below[n])) for n in range(_BINS)]
     return {"trials": Table.of_rows(("measurand [text]", "from", "to", "share [percent]"), rows)} if rows else {}
 
 
 def _warnings(measurand: _Measurand) -> list[str]:
-    printed = [f"{measurand.name}: {note}" for note in measurand.linear.notes]
+    warnings = [f"{measurand.name}: {note}" for note in measurand.linear.notes]
+    # `valid` has a third value, None, if the trials do not decide
     if measurand.verdict is not None and measurand.verdict.valid is False and not measurand.linear.replaced:
-        printed.append(f"{measurand.name}: Monte Carlo does not validate the interval of GUM; use that of Monte Carlo")
-    return printed
+        warnings.append(f"{measurand.name}: Monte Carlo does not validate the interval of GUM; use that of Monte Carlo")
+    return warnings
 
 
 def _notes(measurand: _Measurand) -> list[str]:
     details, unit = measurand.details, "" if measurand.unit == "1" else f" {measurand.unit}"
     value, std = rounded(measurand.value, measurand.std)
-    U = rounded(measurand.value, details["U"])[1]
-    dof = details["dof"]
+    U, dof = rounded(measurand.value, details["U"])[1], details["dof"]
     freedom = f", {dof:.4g} effective degrees of freedom" if dof < _MANY else ""
     covers = f"k = {details['k']:.3g}, {100 * details['probability']:.4g} %"
-    printed = [f"{measurand.name} = {value}{unit}, U = {U}{unit} ({covers}{freedom}), u = {std}{unit}"]
+    notes = [f"{measurand.name} = {value}{unit}, U = {U}{unit} ({covers}{freedom}), u = {std}{unit}"]
     second = details["second_order"]
     if math.isfinite(second["std"]) and measurand.linear.nonlinear > 1e-4:
         value, std = rounded(second["value"], second["std"])
-        printed.append(f"  second order: {value}{unit}, u = {std}{unit}")
+        notes.append(f"  second order: {value}{unit}, u = {std}{unit}")
     mc = details.get("mc")
     if mc is not None:
         ends = [
@@ -267,19 +259,19 @@ def _notes(measurand: _Measurand) -> list[str]:
             for key in ("interval", "shortest")
         ]
         mean, std = rounded(mc["mean"], mc["std"])
-        printed.append(
+        notes.append(
             f"  Monte Carlo, {mc['trials']} trials: {mean}{unit}, u = {std}{unit}, interval {ends[0]}, "
             f"shortest {ends[1]}{unit}"
         )
-        printed.append(f"  U covers {100 * mc['covered']:.4g} % of the trials")
+        notes.append(f"  U covers {100 * mc['covered']:.4g} % of the trials")
         if mc.get("resolution"):
-            printed.append(f"  trials counted in bins: interval ends are known to {mc['resolution']:.1e}{unit}")
-    printed += _judgement(measurand)
-    printed += [f"  {line}" for line in budget_text.lines(measurand.budget)]
-    printed += [f"  {line}" for line in budget_text.reverse_lines(measurand.budget, details.get("target", {}))]
+            notes.append(f"  trials counted in bins: interval ends are known to {mc['resolution']:.1e}{unit}")
+    notes += _judgement(measurand)
+    notes += [f"  {line}" for line in budget_text.lines(measurand.budget)]
+    notes += [f"  {line}" for line in budget_text.reverse_lines(measurand.budget, details.get("target", {}))]
     if "tolerance" in details:
-        printed += [f"  {line}" for line in lines(details["tolerance"], measurand.unit)]
-    return printed
+        notes += [f"  {line}" for line in lines(details["tolerance"], measurand.unit)]
+    return notes
 
 
 def _judgement(measurand: _Measurand) -> list[str]:

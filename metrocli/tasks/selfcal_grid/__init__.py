@@ -1,7 +1,8 @@
 """selfcal-grid: errors of a machine and of an artefact from views of a ball grid that nobody calibrated.
 
 `readings` -> `mountings` (was each view as declared) -> `problem` -> `determination` (what the views leave open)
--> `solve` -> `error_map` (between the sites), `lengths` -> `report`. `sequence` is the published method.
+-> `solve` -> `error_map` (between the sites), `lengths` -> `report` with `warnings`. `sequence` is the published
+method.
 """
 
 from metrocli.tasks.kind import Kind, Question

@@ -101,7 +101,7 @@ class GridProblem(Modelled):
         return replace(self, warnings=(*self.warnings, *warnings))
 
     def only(self, keep: Mask) -> GridProblem:
-        """Return the problem with some of its readings; sites, balls and views without readings are no unknowns."""
+        """Return the problem with some of its readings; sites, balls and views without readings are not unknowns."""
         readings = self.readings.selected(keep)
         blocks = dict(self.blocks)
         for name in (bg.MACHINE, bg.ARTEFACT, bg.VIEW):

@@ -5,5 +5,5 @@
 - trackers: `tracker_effects`; images: `images`; parts: `part` (sizes at 20 degC), `features`
 - every adjustment: `noise` (estimated, structured), `statistics`, `diagnosed`, `uncontrolled`,
   `joint_covariance`
-- files: `lists` (names matched); `figures` (names that `require:` may use)
+- files: `lists` (names matched), `weather` (its unit), `rounding`; `figures` (names that `require:` may use)
 """

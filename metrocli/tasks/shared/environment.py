@@ -136,7 +136,7 @@ def priors_of(air: Air | None) -> list[Group]:
 
 
 def estimates_of(solution: Solution) -> tuple[Estimate, ...]:
-    """Return the factor of all lengths that the error of the index is, about 1; empty if it is no unknown."""
+    """Return the factor of all lengths that the error of the index is, about 1; empty if it is not an unknown."""
     block = solution.blocks.get(AIR)
     if block is None or not block.free.any():
         return ()

@@ -50,8 +50,11 @@ def sigmas(table: Table, without: float = float("nan")) -> Array:
 
 def negative(table: Table, *names: str) -> dict[str, Mask]:
     """Return the rows with a negative standard deviation in each of the named columns, under a text."""
-    text = "a standard deviation is negative, in column '{}'".format
-    return {text(table.headings.get(name, name)): table.numbers(name) < 0 for name in names if name in table}
+    return {
+        f"a standard deviation is negative, in column '{table.headings.get(name, name)}'": table.numbers(name) < 0
+        for name in names
+        if name in table
+    }
 
 
 def listed_places(key: str, names: Sequence[str], places: Array) -> Table:
@@ -73,8 +76,13 @@ def matched(table: Table, column: str, names: Sequence[str] | Texts, where: str)
     unmatched = np.flatnonzero(rows < 0)
     if unmatched.size:
         hints = {name: did_you_mean(name, names) for name in {values[row] for row in unmatched[:MOST_FAULTS].tolist()}}
-        text = f"{column} '{{}}' is not in {where}".format
-        raise InputError(table.faults_at(unmatched, lambda row: text(values[row]), lambda row: hints.get(values[row])))
+        raise InputError(
+            table.faults_at(
+                unmatched,
+                lambda row: f"{column} '{values[row]}' is not in {where}",
+                lambda row: hints.get(values[row]),
+            )
+        )
     return rows
 
 
@@ -86,12 +94,13 @@ def _by_hashes(texts: Texts, names: Texts) -> Index | None:
     if not len(texts) or not len(names):
         return None
     width = max(texts.dtype, names.dtype)
-    here, there = (row_hashes(Table({"": texts_of.astype(width)}), ("",)) for texts_of in (texts, names))
-    order = np.argsort(there)
-    begins = np.flatnonzero(np.append(True, here[1:] != here[:-1]))  # of the runs of rows with one name
-    # the last one is left out of the search, so that what lies behind it finds it and not a place beyond the end
-    candidates = order[np.searchsorted(there[order[:-1]], here[begins])]
-    places = np.repeat(candidates, np.diff(begins, append=len(here)))
+    hashes, of_names = (row_hashes(Table({"": column.astype(width)}), ("",)) for column in (texts, names))
+    order = np.argsort(of_names)
+    # rows with one name mostly follow each other: one search for each such run
+    begins = np.flatnonzero(np.append(True, hashes[1:] != hashes[:-1]))
+    # without the last name in the search, a hash beyond it finds that name and not a place behind the end
+    candidates = order[np.searchsorted(of_names[order[:-1]], hashes[begins])]
+    places = np.repeat(candidates, np.diff(begins, append=len(hashes)))
     # compared letter by letter: equal hashes of different names would be a wrong match
     return places if (names[places] == texts).all() else None
 

@@ -155,7 +155,7 @@ def of_points(solution: Solution, group: Group, nominal: Array) -> NetworkLength
 
 
 def _spread(solution: Solution, observations: Observations) -> Array | float:
-    """Return the standard uncertainty of a coordinate of the point of each length, (n,); 0 where it is no unknown."""
+    """Return the standard uncertainty of a coordinate of the point of each length, (n,); 0 if it is not an unknown."""
     if t.POINT not in solution.blocks or not solution.blocks[t.POINT].free.any():
         return 0.0
     return np.asarray(np.sqrt((solution.std(t.POINT) ** 2).mean(axis=1))[observations.index[t.POINT]])
@@ -235,7 +235,7 @@ def _sums(of: Index, left: Array, right: Array, weight: Array, count: int) -> Ar
 def _planes(network: NetworkLengths, lengths: Index) -> tuple[Array, Array, Array]:
     """Return unit normal (m, 3), relative thickness (m,) and centre (m, 3) of the plane nearest to each member's ends.
 
-    Coordinates that are given are no direction of the normal. Ends that are surely far from a plane have none: a
+    Coordinates that are given are not a direction of the normal. Ends that are surely far from a plane have none: a
     normal of zeros, and a thickness below the true one.
     """
     count = len(lengths)

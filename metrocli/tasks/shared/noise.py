@@ -154,7 +154,7 @@ class Structured:
 
 
 @dataclass(frozen=True)
-class NoiseFound:
+class JobNoise:
     """What the noise of a job is, and the solution whose covariance counts it."""
 
     solution: Solution
@@ -168,13 +168,13 @@ class NoiseFound:
         return self.structured.details(names) if self.structured is not None else {}
 
 
-def noise_found(
+def job_noise(
     solved: tuple[Solution, float],
     model: str,
     clusters: Callable[[], Clusters],
     estimates: Sequence[str],
     delivered: Sequence[str] = (),
-) -> NoiseFound:
+) -> JobNoise:
     """Return the noise of a solution and of the factor on what is declared, with what readings of one cluster share.
 
     `estimates` are the blocks of the estimates, `delivered` those of the result whose growth counts, if they are
@@ -182,8 +182,8 @@ def noise_found(
     """
     solution, factor = solved
     if model != STRUCTURED:
-        return NoiseFound(solution, model, factor)
+        return JobNoise(solution, model, factor)
     chosen = clusters()
     robust = cluster_robust(solution, chosen)
     shared = Structured(robust, tuple(delivered or estimates), tuple(estimates), chosen.over)
-    return NoiseFound(robust.solution, model, factor, shared)
+    return JobNoise(robust.solution, model, factor, shared)

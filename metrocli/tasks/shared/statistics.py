@@ -16,7 +16,7 @@ from metrocli.arrays import Array
 from metrocli.instruments import tracer as t
 from metrocli.result import Estimate, Scalar
 from metrocli.table import Table
-from metrocli.tasks.shared.noise import DECLARED, NoiseFound, Structured
+from metrocli.tasks.shared.noise import DECLARED, JobNoise, Structured
 from metrocli.words import listed
 
 _ABSURD = 10.0
@@ -30,6 +30,11 @@ _BEYOND = 1e6
 """Tests from here on differ by chance: readings that are far off, or that nothing predicts"""
 _NAMED = 5
 """Outliers that a warning names, at most"""
+
+_OF_A_UNIT = 1e-4, 0.05
+"""sigma0 of readings in another unit: above that of simulated ones without noise, and below any real one"""
+CONDITIONS = {"t": "s", "temp": "degC", "pressure": "hPa", "humidity": "percent"}
+"""Conditions of readings that files have, with their units"""
 
 Statistics = dict[str, Scalar | Mapping[str, float]]
 
@@ -67,15 +72,15 @@ def with_noise(
     return {**kept, **noise, **(structured.statistics if structured is not None else {})}
 
 
-def with_found(statistics: Statistics, noise: NoiseFound) -> Statistics:
-    """Return the statistics of a job whose declared noise is right up to a factor, if that is from the residuals."""
+def with_job_noise(statistics: Statistics, noise: JobNoise) -> Statistics:
+    """Return the statistics of a job, with the factor on its declared noise where the residuals give that."""
     if noise.model == DECLARED:
         return statistics
     return with_noise(statistics, noise.solution, {"noise_factor": noise.factor}, noise.structured)
 
 
-def found_notes(noise: NoiseFound) -> tuple[str, ...]:
-    """Return the notes on noise whose size is from the residuals; none for declared noise."""
+def job_noise_notes(noise: JobNoise) -> tuple[str, ...]:
+    """Return the notes on noise whose size the residuals give; none for declared noise."""
     if noise.model == DECLARED:
         return ()
     lines = (f"estimated noise: {noise.factor:.3g} times the declared one; covariances are scaled by it",)
@@ -99,10 +104,6 @@ def residual_table(residuals: Residuals, group: Group) -> Table:
     return Table.of(
         {**keys, "component": component, **{name: number.T.ravel() for name, number in numbers.items()}, **when}
     )
-
-
-CONDITIONS = {"t": "s", "temp": "degC", "pressure": "hPa", "humidity": "percent"}
-"""Conditions of readings that files have, with their units"""
 
 
 def heading(condition: str) -> str:
@@ -165,11 +166,7 @@ def noise_warnings(solution: Solution, cures: Collection[str] = (ESTIMATED, REMO
             f"check for gross errors{f' ({REMOVE})' if REMOVE in cures else ''}, wrong names or units, "
             f"or a declared noise that is far too small{_of_return(cures)}"
         ]
-    return [_noise_sentence(solution, "larger", low, high, cures)]
-
-
-_OF_A_UNIT = 1e-4, 0.05
-"""sigma0 of readings in another unit: above that of simulated ones without noise, and below any real one"""
+    return [_noise_sentence(solution, "larger", low, high, cures) + _of_return(cures)]
 
 
 def noise_notes(solution: Solution, cures: Collection[str] = (ESTIMATED, REMOVE)) -> list[str]:
@@ -177,10 +174,12 @@ def noise_notes(solution: Solution, cures: Collection[str] = (ESTIMATED, REMOVE)
     low, high = chi_interval(solution)
     if not solution.sigma0 < low:
         return []
-    exact, unlike = _OF_A_UNIT
-    times = f"{1 / max(solution.sigma0, exact):.0f} times"
-    unit = f"; residuals that are {times} smaller point to a wrong unit of the readings or of the noise"
-    return [_noise_sentence(solution, "smaller", low, high, cures) + unit * (exact < solution.sigma0 < unlike)]
+    note = _noise_sentence(solution, "smaller", low, high, cures)
+    least, largest = _OF_A_UNIT
+    if least < solution.sigma0 < largest:
+        times = f"{1 / solution.sigma0:.0f} times"
+        note += f"; residuals that are {times} smaller point to a wrong unit of the readings or of the noise"
+    return [note]
 
 
 def _noise_sentence(solution: Solution, word: str, low: float, high: float, cures: Collection[str]) -> str:
@@ -188,14 +187,15 @@ def _noise_sentence(solution: Solution, word: str, low: float, high: float, cure
     return (
         f"sigma0 = {solution.sigma0:.3f} is outside {low:.3f} ... {high:.3f}: "
         f"the residuals are {word} than the declared noise; "
-        f"standard uncertainties are for the declared noise{scaled}{_of_return(cures) if word == 'larger' else ''}"
+        f"standard uncertainties are for the declared noise{scaled}"
     )
 
 
 def _of_return(cures: Collection[str]) -> str:
-    return f"; where the carrier returns to its places for each station, {REPEATS} estimates its scatter" * (
-        REPEATS in cures
-    )
+    """Return the end of a warning that recommends `REPEATS`, empty for a job without that setting."""
+    if REPEATS not in cures:
+        return ""
+    return f"; where the carrier returns to its places for each station, {REPEATS} estimates its scatter"
 
 
 def beyond_bound(names: Sequence[str], critical: float, cure: str = REMOVE) -> str:
@@ -249,6 +249,7 @@ def point_shift(solution: Solution, group: Group) -> Array:
     index = np.atleast_2d(group.observations.index[t.POINT])[0]
     if not solution.blocks[t.POINT].free.any():
         return np.zeros(len(index))
+    # where the points are eliminated in tiles of readings, their covariances with these are at hand
     place = place_in_tiles(solution, group)
     if place is not None and covariance.layout.eliminated == t.POINT:
         shape = group.observations.readings.shape

@@ -24,12 +24,12 @@ class Sort:
     dimension: str
     usual: float
     within: float
-    """Air farther from the usual than this is remarked, if another unit brings it near"""
+    """Air farther from the usual than this is reported, if another unit brings it near"""
     alike: float
     """Air of one job differs by less"""
     near: float
-    """Rows in another unit agree with the others so well"""
-    more: tuple[Unit, ...]
+    """Rows in another unit, brought into the right one, differ from the others by less"""
+    foreign: tuple[Unit, ...]
     """Units that files cannot use"""
 
 
@@ -55,7 +55,7 @@ class Odd:
     unit: str
     """The unit that is meant"""
     size: str
-    """What it is as it stands, and in the other unit"""
+    """Its value as it stands, and in the other unit"""
 
 
 def odd_weather(table: Table) -> Iterator[Odd]:
@@ -64,26 +64,30 @@ def odd_weather(table: Table) -> Iterator[Odd]:
         if name not in table or not len(table):
             continue
         values, every = table.numbers(name), np.ones(len(table), dtype=bool)
-        found = dict[Unit, tuple[list[str], Mask]]()
+        by_unit = dict[Unit, tuple[list[str], Mask]]()
         for where, rows in parts(table, np.abs(values)):
             others = float(np.median(values[~rows]))
             unit = _meant(table, name, values[rows], others, (sort.alike, sort.near))
-            named, covered = found.get(unit, ([], ~every)) if unit else ([], every)
+            if unit is None:
+                continue
+            places, covered = by_unit.get(unit, ([], ~every))
             # rows of one size are often those of the sources before
-            if unit and (rows & ~covered).any():
-                found[unit] = [*named, where], covered | rows
-        whole = None if found else _meant(table, name, values, sort.usual, (sort.within, sort.within / 2))
+            if (rows & ~covered).any():
+                by_unit[unit] = [*places, where], covered | rows
+        whole = None if by_unit else _meant(table, name, values, sort.usual, (sort.within, sort.within / 2))
         if whole is not None:
-            found[whole] = [], every
-        for unit, (named, rows) in found.items():
-            yield _odd(table, name, rows, in_a_row(named), unit)
+            by_unit[whole] = [], every
+        for unit, (places, rows) in by_unit.items():
+            yield _odd(table, name, rows, in_a_row(places), unit)
 
 
 def in_another_unit(table: Table, name: str, value: float) -> str:
     """Return in words that a value is usual in another unit; empty if it is not."""
     sort = SORTS.get(name)
     unit = _meant(table, name, np.array([value]), sort.usual, (sort.within, sort.within / 2)) if sort else None
-    return "" if unit is None else f"{_both(table, name, value, unit)}: look at the unit of {_heading(table, name)}"
+    if unit is None:
+        return ""
+    return f"{_in_both_units(table, name, value, unit)}: look at the unit of {_heading(table, name)}"
 
 
 def remarks(table: Table) -> Iterator[str]:
@@ -108,7 +112,7 @@ def other_weather(job: Job[Any, Any], fits: bool = False) -> Iterator[tuple[Mist
 def _odd(table: Table, name: str, rows: Mask, where: str, unit: Unit) -> Odd:
     values = table.numbers(name)
     right = np.where(rows, unit.array_inside(_as_written(table, name, values)), values)
-    size = _both(table, name, float(np.median(values[rows])), unit)
+    size = _in_both_units(table, name, float(np.median(values[rows])), unit)
     return Odd(name, f"{_heading(table, name)} {where}".rstrip(), rows, right, unit.symbol, size)
 
 
@@ -118,12 +122,12 @@ def _meant(table: Table, name: str, values: Array, others: float, limits: tuple[
     if abs(float(np.median(values)) - others) <= far:
         return None
     sort, written = SORTS[name], float(np.median(_as_written(table, name, values)))
-    units = (*DIMENSIONS[sort.dimension].units, *sort.more)
+    units = (*DIMENSIONS[sort.dimension].units, *sort.foreign)
     best = min(units, key=lambda unit: abs(unit.inside(written) - others))
     return best if abs(best.inside(written) - others) < near else None
 
 
-def _both(table: Table, name: str, value: float, unit: Unit) -> str:
+def _in_both_units(table: Table, name: str, value: float, unit: Unit) -> str:
     """Return a value in the unit of the heading, and what it is if it is in another."""
     written = float(_as_written(table, name, np.array([value]))[0])
     internal = DIMENSIONS[SORTS[name].dimension].unit

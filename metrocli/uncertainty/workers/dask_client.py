@@ -23,16 +23,17 @@ def must_listen(address: str) -> None:
     from urllib.parse import urlsplit
 
     try:
-        place = urlsplit(address)
-        with socket.create_connection((place.hostname, place.port or 8786), PATIENCE_S) as connection:
+        url = urlsplit(address)
+        # 8786 is the port of Dask schedulers
+        with socket.create_connection((url.hostname, url.port or 8786), PATIENCE_S) as connection:
             connection.settimeout(PATIENCE_S)
             # a scheduler speaks first: the length of its handshake as 8 bytes, which is small; with TLS it waits
-            head = connection.recv(8, socket.MSG_WAITALL) if place.scheme == "tcp" else b""
+            head = connection.recv(8, socket.MSG_WAITALL) if url.scheme == "tcp" else b""
     except TimeoutError as error:
         raise _unanswered(address, TimeoutError("it accepts the connection and is silent")) from error
     except (OSError, ValueError) as error:
         raise _unanswered(address, error) from error
-    if place.scheme == "tcp" and not 0 < int.from_bytes(head, "little") < _LONGEST_HELLO:
+    if url.scheme == "tcp" and not 0 < int.from_bytes(head, "little") < _LONGEST_HELLO:
         begins = head.split(b"\r")[0].decode("ascii", "replace")
         raise _unanswered(address, ValueError(f"what answers begins with '{begins}'" if head else "it hangs up"))
 
@@ -42,7 +43,7 @@ def _unanswered(address: str, error: Exception) -> InputError:
     return InputError([Fault(f"--scheduler {address}: no Dask scheduler answers there ({error})", hint=hint)])
 
 
-def _in_file(path: str) -> str:
+def _address_in(path: str) -> str:
     """Return the address that a scheduler file holds."""
     if not os.path.isfile(path):
         raise InputError(f"--scheduler {path}: no such scheduler file; write tcp://HOST:PORT or the path of one")
@@ -50,7 +51,7 @@ def _in_file(path: str) -> str:
         with open(path, encoding="utf-8") as file:
             return str(json.load(file)["address"])
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InputError(f"--scheduler {path}: this is no scheduler file of Dask ({error})") from error
+        raise InputError(f"--scheduler {path}: this is not a scheduler file of Dask ({error})") from error
 
 
 def _silence() -> None:
@@ -88,7 +89,7 @@ def _security(library: Any, address: str) -> Any:
 
 def client_of(scheduler: str) -> Any:
     """Return a client of a running cluster, or raise InputError in a few seconds."""
-    address = scheduler if scheduler.startswith(_ADDRESSES) else _in_file(scheduler)
+    address = scheduler if scheduler.startswith(_ADDRESSES) else _address_in(scheduler)
     if address.startswith(("tcp://", "tls://")):
         must_listen(address)
     try:

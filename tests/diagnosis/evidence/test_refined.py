@@ -63,7 +63,7 @@ def test_other_values_that_fit_alike_stay_beside_other_noise() -> None:
 
 @pytest.mark.parametrize("quick", [True, False])
 def test_readings_beside_a_large_step_are_not_called_wrong(quick: bool) -> None:
-    """A scan tries each fourth time: the readings between the step and the time tried are no wrong ones."""
+    """A scan tries each fourth time: the readings between the step and the time tried are not wrong ones."""
     m = grids.measurement(np.random.default_rng(21), "1234")
     before, at = np.sort(m.t[m.views.view == 1])[40:42].tolist()
     step = {"view": 1, "at": at, "dx": 0.21, "dy": -0.1, "dz": 0.06}

@@ -275,7 +275,7 @@ def test_readings_that_reveal_an_effect_raise_the_power_to_find_it() -> None:
     assert (aim.why, len(following.readings)) == ("shows reseated-reflector", 5)
     assert aim.before < 0.02
     assert aim.after > 0.99
-    with pytest.raises(UsageError, match="'tracer-drift:T9' is no effect that"):
+    with pytest.raises(UsageError, match="'tracer-drift:T9' is not an effect that"):
         revealing(diagnosis.job, diagnosis.design, "tracer-drift:T9", 5)
 
 
@@ -288,9 +288,9 @@ def test_an_effect_that_the_readings_cannot_have_is_refused_with_the_reason() ->
     named = unknown.value.args[0].partition("allowed: ")[2].split(", ")
     assert named[0].partition(":")[0] == known[0].partition(" ")[0]
     timeless = replace(diagnosis.design, candidates=(), not_tested=(NotTested(drift, "no t_s"),))
-    with pytest.raises(UsageError, match=r"'tracer-drift:T1' is no candidate here: no t_s"):
+    with pytest.raises(UsageError, match=r"'tracer-drift:T1' is not a candidate here: no t_s"):
         revealing(diagnosis.job, timeless, "tracer-drift:T1", 5)
-    with pytest.raises(UsageError, match=r"'moved-point:P1' is no candidate here: it spoils one reading"):
+    with pytest.raises(UsageError, match=r"'moved-point:P1' is not a candidate here: it spoils one reading"):
         revealing(diagnosis.job, diagnosis.design, "moved-point:P1", 5)
 
 

@@ -1,4 +1,4 @@
-"""Cameras that are no results: of other programs, fisheyes, and with uncertainties that the job states."""
+"""Cameras that are not results: of other programs, fisheyes, and with uncertainties that the job states."""
 
 from __future__ import annotations
 

@@ -50,7 +50,7 @@ def test_no_exchange_is_offered_where_none_mends_the_poses() -> None:
     assert sum(a != b for a, b in pairwise(rows)) > 2
     with pytest.raises(MetrocliError) as failed:
         aligned(poses, order(poses, rows), 32)
-    assert "are exchanged: read so" not in str(failed.value)
+    assert "are exchanged: with this corrected" not in str(failed.value)
 
 
 def test_poses_that_fit_nothing_end_after_few_steps(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -78,7 +78,7 @@ def test_a_fisheye_given_as_a_pinhole_is_named(tmp_path: Path, metrocli: Metrocl
     (tmp_path / "job.yaml").write_text(JOB.format("estimate: [f, cx, cy, k1, k2]"))
     ran = metrocli("calibrate-camera", tmp_path / "job.yaml")
     assert ran.code == 6 and "the lens is a fisheye" in ran.out and "write model: fisheye" in ran.out
-    assert "extended.yaml`, the job with what is said above to be right" in (
+    assert "extended.yaml`, the job corrected as stated above" in (
         metrocli("diagnose", tmp_path / "job.yaml", "--quick").out
     )
 

@@ -41,7 +41,7 @@ def test_a_pixel_size_in_millimetres(tmp_path: Path, metrocli: Metrocli) -> None
 
 @pytest.mark.slow
 def test_a_wrong_lens_is_no_wrong_unit(tmp_path: Path, metrocli: Metrocli) -> None:
-    """Places with a sigma that become smaller yield to any reading, which is no sign of another unit."""
+    """Places with a sigma that become smaller yield to any reading, which is not a sign of another unit."""
     assert metrocli("init", tmp_path / "part", "--sample", "raw-part").code == 0
     ran = metrocli("calibrate-camera", tmp_path / "part/jobs/camera.yaml", "--set", "camera.aspect=0.001")
     assert ran.code == 6, (ran.out, ran.err)

@@ -1,4 +1,4 @@
-"""Cameras whose noise follows residuals that are no noise: another lens, turned images, a lens beyond its readings."""
+"""Cameras whose noise follows residuals that are not noise: another lens, turned images, a lens beyond its readings."""
 
 from __future__ import annotations
 

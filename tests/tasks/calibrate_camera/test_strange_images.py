@@ -159,7 +159,7 @@ def test_a_mirrored_image_of_a_network_makes_it_doubtful() -> None:
 
 
 def test_it_is_left_out_with_all_its_readings() -> None:
-    """Its pose, which no reading is left to determine, is no unknown then."""
+    """Its pose, which no reading is left to determine, is not an unknown then."""
     right = measured(0, wrong=False, outliers="remove")
     seen = right.files.observations
     assert seen is not None

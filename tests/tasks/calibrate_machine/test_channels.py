@@ -178,5 +178,5 @@ def test_the_unit_of_displacement_alone(factor: float, job: Path, metrocli: Metr
         row[3] = repr(float(row[3]) * factor)
     file.write_text("".join(",".join(row) + "\n" for row in rows))
     ran = metrocli("calibrate-machine", job.with_name("displacement.yaml"))
-    assert ("ex_mm is in um: read so" in ran.out + ran.err) == (factor == 1000)
+    assert ("ex_mm is in um: with this corrected" in ran.out + ran.err) == (factor == 1000)
     assert ("983 times smaller point to a wrong unit of the readings or of the noise" in ran.out) == (factor < 1)

@@ -150,4 +150,4 @@ def test_the_positions_of_one_station_in_another_unit_are_named(
         text.append(",".join(cells))
     path.write_text("\n".join(text) + "\n")
     ran = metrocli("calibrate-machine", job)
-    assert ran.code == 3 and f"x_mm, y_mm and z_mm of station S2 are in {unit}: read so" in ran.err, ran.err
+    assert ran.code == 3 and f"x_mm, y_mm and z_mm of station S2 are in {unit}: with this corrected" in ran.err, ran.err

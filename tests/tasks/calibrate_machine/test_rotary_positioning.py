@@ -288,7 +288,7 @@ HIDDEN: dict[str, Callable[[np.ndarray, np.ndarray], np.ndarray]] = {
     "name", [pytest.param(one, marks=pytest.mark.slow if one[:1] in ("", "w", "e") else ()) for one in HIDDEN]
 )
 def test_what_is_hidden_is_named(write: Any, metrocli: Metrocli, name: str) -> None:
-    """What turns once is no blunder: the table has it at its knots, and the effect between them."""
+    """What turns once is not a blunder: the table has it at its knots, and the effect between them."""
     write(dense(HIDDEN[name]), "c_deg,ec_arcsec,t_s")
     ran = metrocli("diagnose", "job.yaml", "--limit", "30s")
     verdict = ran.out.splitlines()[0]

@@ -42,7 +42,7 @@ def test_stops_that_scatter_are_one_finding(scatter: float, declared: float | No
 
 
 def test_a_declared_repeatability_that_is_too_small_is_that_effect() -> None:
-    """It is no wrong sigma of given values: a user gives none of a stop."""
+    """It is not a wrong sigma of given values: a user gives none of a stop."""
     found = diagnose(made(1, 3e-3, 30).adjusted(1e-3), quick=True)
     assert ([one.effect.name for one in found.scatters], found.variance_groups) == (["repeatability"], ())
 

@@ -158,7 +158,7 @@ def test_the_shuffled_tracer_alone_is_named(folder: Path, metrocli: Metrocli) ->
 
 
 def test_files_in_different_units_that_say_so_are_one(folder: Path, metrocli: Metrocli) -> None:
-    """Lengths in m and points in mm, each in its header, are no fault."""
+    """Lengths in m and points in mm, each in its header, are not a fault."""
     change(
         folder / "lengths.csv",
         lambda rows: [

@@ -118,7 +118,7 @@ def test_the_extended_job_states_what_diagnose_found_and_is_clean(
         ("{covariate: t_s, by: tracer, only: T9, length: 0.25, std: 1 um}", "there is no tracer 'T9'"),
         ("{covariate: t_s, only: T1, length: 0.25, std: 1 um}", "`only` without `by`"),
         ("{covariate: t_s, by: tracer, length: 0.03, std: 1 um}", "resolves no length below"),
-        ("{covariate: t_s, by: tracer, length: 0.25, std: 1 px}", "is no size of these readings"),
+        ("{covariate: t_s, by: tracer, length: 0.25, std: 1 px}", "is not a size of these readings"),
         ("{covariate: t_s, by: tracer, length: 0.25, std: 1 m}", "at most 1000 times the declared noise of 0.0005 mm"),
         (f"{ONE}, {ONE}", "the same error is listed twice"),
         ("{covariate: t_s, by: tracer, length: 2, std: 1 um}", "2 is out of range"),

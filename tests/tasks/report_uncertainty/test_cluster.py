@@ -54,7 +54,7 @@ def test_no_scheduler_file_is_told(tmp_path: Path, capsys: pytest.CaptureFixture
     assert "no such scheduler file" in capsys.readouterr().err
     (tmp_path / "other.json").write_text("[1]")
     assert carry_out(tmp_path, JOB, "job", "--scheduler", str(tmp_path / "other.json")).code == 3
-    assert "this is no scheduler file of Dask" in capsys.readouterr().err
+    assert "this is not a scheduler file of Dask" in capsys.readouterr().err
 
 
 class Deserted:

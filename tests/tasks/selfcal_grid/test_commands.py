@@ -243,7 +243,7 @@ def test_a_view_beside_the_grid_cannot_be_planned(project: Path, metrocli: Metro
 def test_diagnosis_of_few_views_sees_what_they_determine(
     keep: str, least: int, project: Path, metrocli: Metrocli
 ) -> None:
-    """What the views leave open is held: it is no effect's, takes no reading away, and hides no metres."""
+    """What the views leave open is held: it is not an effect's, takes no reading away, and hides no metres."""
     rows = (project / "data" / "views.csv").read_text().splitlines()
     kept = [row for row in rows if row.split(",")[0] in ("view", *keep)]
     (project / "data" / "views.csv").write_text("\n".join(kept) + "\n")

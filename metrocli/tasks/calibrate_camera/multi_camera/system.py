@@ -228,7 +228,7 @@ def _views(exposed: Exposures, seen: Sequence[CalibratedCamera], held: Array, co
 
 
 def _lenses(cameras: Sequence[str], blocks: Sequence[Block]) -> Block:
-    """Return the lenses of all cameras as one block; a parameter that a camera has not is 0 and fixed."""
+    """Return the lenses of all cameras as one block; a parameter that a camera lacks is 0 and fixed."""
     named = {name for block in blocks for name in block.columns}
     columns = tuple(name for name in PARAMETERS if name in named)
     values = np.array([[block.named().get(name, 0.0) for name in columns] for block in blocks])

@@ -24,8 +24,8 @@ from metrocli.tasks.calibrate_machine.volume import predict
 
 _SAME = 1e-4
 """Positions of a path and of a reading are the same within this [mm, rad]"""
-_APART = 1e6
-"""Distance of the readings of two tools, so that none is taken for that of another [mm]"""
+_FAR = 1e6
+"""Distance by which the readings of two tools are moved apart, so that none is taken for that of another [mm]"""
 
 
 def paths(tables: Tables, solved: AdjustedMachine, settings: Settings, listed: Table | None) -> dict[str, Table]:
@@ -41,7 +41,7 @@ def paths(tables: Tables, solved: AdjustedMachine, settings: Settings, listed: T
     position, tool = commanded(machine, listed), tools_of(listed, settings)
     _refuse_short(listed, names)
     error, design = _predicted(tables, position, tool)
-    measured = error + _left(solved, machine, position, tool)
+    measured = error + _residuals_at(solved, machine, position, tool)
     sigma = settings.noise.probing or 0.0
     rows = []
     for name in dict.fromkeys(names.tolist()):
@@ -49,24 +49,25 @@ def paths(tables: Tables, solved: AdjustedMachine, settings: Settings, listed: T
         for axis in range(3):
             low, high = (int(at[pick(error[axis, at])]) for pick in (np.argmin, np.argmax))
             change = design[axis, high] - design[axis, low]
-            u = COVERAGE * float(np.sqrt(max(change @ tables.raw @ change, 0.0)))
-            read = measured[axis, at]
-            rows.append((name, "xyz"[axis], error[axis, high] - error[axis, low], u, np.ptp(read)))
+            expanded = COVERAGE * float(np.sqrt(max(change @ tables.raw @ change, 0.0)))
+            extent = np.ptp(measured[axis, at])
+            rows.append((name, "xyz"[axis], error[axis, high] - error[axis, low], expanded, extent))
     columns = list(zip(*rows, strict=True))
-    followed = np.where(np.isnan(columns[4]), np.nan, COVERAGE * np.sqrt(2) * sigma)
+    # the measured range is the difference of two readings
+    expanded_measured = np.where(np.isnan(columns[4]), np.nan, COVERAGE * np.sqrt(2) * sigma)
     units = {axis.letter.lower(): unit_of_position(axis) for axis in machine.axes}
-    places = {f"{key} [{unit}]": own for (key, unit), own in zip(units.items(), position, strict=True)}
+    positions = {f"{key} [{unit}]": values for (key, unit), values in zip(units.items(), position, strict=True)}
     return {
         "paths": Table.of(
             {
                 "path": columns[0],
                 "direction": columns[1],
                 "range U_range [mm]": np.array(columns[2:4]).T,
-                "measured U_measured [mm]": np.stack([columns[4], followed], axis=1),
+                "measured U_measured [mm]": np.stack([columns[4], expanded_measured], axis=1),
             }
         ),
         "path_errors": Table.of(
-            {"path": names, **places, "ex ey ez [mm]": error.T, "measured_x measured_y measured_z [mm]": measured.T}
+            {"path": names, **positions, "ex ey ez [mm]": error.T, "measured_x measured_y measured_z [mm]": measured.T}
         ),
     }
 
@@ -85,42 +86,43 @@ def _predicted(tables: Tables, position: Array, tool: Index) -> tuple[Array, Arr
     design = np.zeros((3, position.shape[1], tables.unknowns.size))
     for number in np.unique(tool).tolist():
         at = tool == number
-        predicted, own = predict(tables.machine, tables.blocks, (tables.unknowns, tables.raw), position[:, at], number)
-        error[:, at], design[:, at] = predicted.error, own
+        predicted, derivatives = predict(
+            tables.machine, tables.blocks, (tables.unknowns, tables.raw), position[:, at], number
+        )
+        error[:, at], design[:, at] = predicted.error, derivatives
     return error, design
 
 
 @dataclass(frozen=True)
-class _Read:
-    """What an R-test read beside what is predicted, in the axes of the workpiece."""
+class _Probed:
+    """The residuals of an R-test, in the axes of the workpiece."""
 
     position: Array
     """(axes, n)"""
     tool: Index
-    left: Array
+    residuals: Array
     """(3, n)"""
 
 
-def _left(solved: AdjustedMachine, machine: Machine, position: Array, tool: Index) -> Array:
+def _residuals_at(solved: AdjustedMachine, machine: Machine, position: Array, tool: Index) -> Array:
     """Return what the reading at each position of paths shows beyond the prediction (3, n); nan without a reading."""
     from scipy.spatial import cKDTree
 
-    read, left = _read(solved, machine), np.full((3, position.shape[1]), np.nan)
-    if read is not None:
-        # other tools are far away
-        places = [np.vstack([own, _APART * number]).T for own, number in ((read.position, read.tool), (position, tool))]
-        distance, nearest = cKDTree(places[0]).query(places[1], p=np.inf)
+    probed, residuals = _probed(solved, machine), np.full((3, position.shape[1]), np.nan)
+    if probed is not None:
+        readings = np.vstack([probed.position, _FAR * probed.tool]).T
+        distance, nearest = cKDTree(readings).query(np.vstack([position, _FAR * tool]).T, p=np.inf)
         followed = distance <= _SAME
-        left[:, followed] = read.left[:, nearest[followed]]
-    return left
+        residuals[:, followed] = probed.residuals[:, nearest[followed]]
+    return residuals
 
 
-def _read(solved: AdjustedMachine, machine: Machine) -> _Read | None:
+def _probed(solved: AdjustedMachine, machine: Machine) -> _Probed | None:
     """Return the residuals of probing as errors of the tip on the workpiece; None for other readings."""
     observations = solved.problem.readings.observations
     if ON_WORKPIECE not in observations.index or (observations.conditions[OF_TOOL] >= 0).any():
         return None
     position = np.stack([observations.conditions[axis.coordinate] for axis in machine.axes])
     # the reading is ball less probe in the axes of the bed, the error is that of the probe against the workpiece
-    own = np.einsum("abn,an->bn", axes_of(machine, position, "workpiece"), solved.residuals.values)
-    return _Read(position, observations.index[TOOL], -own)
+    in_workpiece = np.einsum("abn,an->bn", axes_of(machine, position, "workpiece"), solved.residuals.values)
+    return _Probed(position, observations.index[TOOL], -in_workpiece)

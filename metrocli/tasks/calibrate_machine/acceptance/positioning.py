@@ -30,8 +30,8 @@ def figures(up: Array, down: Array) -> dict[str, float]:
     """
     means, spread = at_each_target(up, down)
     return {
-        name: part.value(means, spread) if all(map(len, _needed(name, up, down))) else float("nan")
-        for name, part in _linear_forms(means, spread).items()
+        name: form.value(means, spread) if all(map(len, _needed(name, up, down))) else float("nan")
+        for name, form in _linear_forms(means, spread).items()
     }
 
 
@@ -62,20 +62,20 @@ def expanded(up: Array, down: Array, targets: Array, known: LineUncertainty) -> 
     values = figures(up, down)
     runs = np.maximum([[len(up)], [len(down)]], 1)
     expansions = {}
-    for name, part in _linear_forms(means, spread).items():
+    for name, form in _linear_forms(means, spread).items():
         # by the readings x_i of n runs a mean has the derivatives 1/n, and s has (x_i - mean)/((n - 1) s). These are
         # orthogonal, with sums of squares 1/n and 1/(n - 1). Those of s add up to 0: the scale acts on means alone
-        squares = (part.mean**2 / runs + part.spread**2 / np.maximum(runs - 1, 1)).sum()
-        expanded_u = COVERAGE * np.hypot(known.reading * np.sqrt(squares), known.scale * (part.mean * targets).sum())
-        expansions[name] = float(expanded_u) if np.isfinite(values[name]) else float("nan")
+        squares = (form.mean**2 / runs + form.spread**2 / np.maximum(runs - 1, 1)).sum()
+        u = np.hypot(known.reading * np.sqrt(squares), known.scale * (form.mean * targets).sum())
+        expansions[name] = float(COVERAGE * u) if np.isfinite(values[name]) else float("nan")
     return expansions
 
 
 def at_each_target(up: Array, down: Array) -> tuple[Array, Array]:
     """Return means (nan of no run) and standard deviations (nan of one) at the targets, (2, targets) each."""
-    none = np.full(up.shape[1], np.nan)
-    means = [runs.mean(axis=0) if len(runs) else none for runs in (up, down)]
-    return np.stack(means), np.stack([runs.std(axis=0, ddof=1) if len(runs) > 1 else none for runs in (up, down)])
+    missing = np.full(up.shape[1], np.nan)
+    means = [runs.mean(axis=0) if len(runs) else missing for runs in (up, down)]
+    return np.stack(means), np.stack([runs.std(axis=0, ddof=1) if len(runs) > 1 else missing for runs in (up, down)])
 
 
 @dataclass(frozen=True)
@@ -87,6 +87,7 @@ class _LinearForm:
 
     def value(self, means: Array, spread: Array) -> float:
         """Return the figure; nan if it has a mean of no run, or a standard deviation of one."""
+        # factors of 0 are left out: 0 times nan would be nan
         return float((self.mean * means)[self.mean != 0].sum() + (self.spread * spread)[self.spread != 0].sum())
 
 
@@ -95,7 +96,7 @@ def _linear_forms(means: Array, spread: Array) -> dict[str, _LinearForm]:
 
     So its factors are its derivatives, too.
     """
-    gap, none, m = means[0] - means[1], np.zeros_like(means), means.shape[1]
+    gap, zeros, m = means[0] - means[1], np.zeros_like(means), means.shape[1]
 
     def at(sides: Sequence[int], target: int, factor: float = 1.0) -> Array:
         """Return the factors of the values of some directions, 0 up and 1 down, at one target."""
@@ -106,7 +107,7 @@ def _linear_forms(means: Array, spread: Array) -> dict[str, _LinearForm]:
     def systematic(sides: tuple[int, ...]) -> _LinearForm:
         ends = [divmod(int(pick(means[list(sides)])), m) for pick in (np.argmax, np.argmin)]
         high, low = (at((sides[side],), target) for side, target in ends)
-        return _LinearForm(high - low, none)
+        return _LinearForm(high - low, zeros)
 
     def accuracy(sides: tuple[int, ...]) -> _LinearForm:
         chosen, wide = means[list(sides)], 2 * spread[list(sides)]
@@ -115,7 +116,7 @@ def _linear_forms(means: Array, spread: Array) -> dict[str, _LinearForm]:
         return _LinearForm(high - low, 2 * (high + low))
 
     def repeatability(side: int) -> _LinearForm:
-        return _LinearForm(none, at((side,), int(np.argmax(spread[side])), 4.0))
+        return _LinearForm(zeros, at((side,), int(np.argmax(spread[side])), 4.0))
 
     def reversal(target: int) -> Array:
         return float(np.sign(gap[target])) * (at((0,), target) - at((1,), target))
@@ -125,9 +126,9 @@ def _linear_forms(means: Array, spread: Array) -> dict[str, _LinearForm]:
     repeats = [both, repeatability(0), repeatability(1)]
     return {
         "A": accuracy((0, 1)), "A_up": accuracy((0,)), "A_down": accuracy((1,)),
-        "R": max(repeats, key=lambda part: part.value(means, spread)), "R_up": repeats[1], "R_down": repeats[2],
-        "B": _LinearForm(reversal(int(np.argmax(np.abs(gap)))), none),
-        "B_mean": _LinearForm(np.repeat([[1.0], [-1.0]], m, axis=1) / m, none),
+        "R": max(repeats, key=lambda form: form.value(means, spread)), "R_up": repeats[1], "R_down": repeats[2],
+        "B": _LinearForm(reversal(int(np.argmax(np.abs(gap)))), zeros),
+        "B_mean": _LinearForm(np.repeat([[1.0], [-1.0]], m, axis=1) / m, zeros),
         "E": systematic((0, 1)), "E_up": systematic((0,)), "E_down": systematic((1,)),
-        "M": _LinearForm(at((0, 1), int(np.argmax(middle)), 0.5) - at((0, 1), int(np.argmin(middle)), 0.5), none),
+        "M": _LinearForm(at((0, 1), int(np.argmax(middle)), 0.5) - at((0, 1), int(np.argmin(middle)), 0.5), zeros),
     }  # fmt: skip

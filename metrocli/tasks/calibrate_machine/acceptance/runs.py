@@ -94,7 +94,7 @@ def _rotary_runs(tables: Tables, solved: AdjustedMachine) -> _RotaryRuns:
 
 
 def _repeated(targets: Iterable[Array]) -> bool:
-    """Return whether runs have targets in common: the next ones of scattered poses are no runs."""
+    """Return whether runs have targets in common: the next ones of scattered poses are not runs."""
     long = [own for own in targets if len(own) >= _FEWEST]
     return bool(long) and bool((np.unique(np.concatenate(long), return_counts=True)[1] > 1).sum() > 1)
 

@@ -19,7 +19,16 @@ from metrocli.arrays import Array
 from metrocli.errors import Fault, InputError
 from metrocli.frozen import dataclass
 from metrocli.instruments.axes.rotary import Combinations
-from metrocli.instruments.machine import ALL_NAMES, AXES, SQUARENESS, Axis, Machine, axis_order, squareness_block
+from metrocli.instruments.machine import (
+    ALL_NAMES,
+    AXES,
+    SQUARENESS,
+    SQUARENESS_NAMES,
+    Axis,
+    Machine,
+    axis_order,
+    squareness_block,
+)
 from metrocli.result import Result
 from metrocli.tasks.calibrate_machine.described import raise_if
 from metrocli.tasks.calibrate_machine.problem import MachineProblem
@@ -30,8 +39,8 @@ from metrocli.words import listed
 KNOWN = "known linear axes"
 _RANK = 1e-10
 """Share of the largest variance, of errors in their standard uncertainties, below which a direction is exact"""
-_ALIKE = 1e-6
-"""Knots are the same up to this [mm]"""
+_SAME = 1e-6
+"""Ranges of knots are the same up to this [mm]"""
 
 
 @dataclass(frozen=True)
@@ -51,9 +60,9 @@ class KnownAxes:
         tables = {
             name: values[[i for i, (error, _) in enumerate(self.entries) if error == name]] for name in self.names
         }
-        square = {name: float(value[0]) for name, value in tables.items() if name not in _OF_AXES}
-        made = [axis.block_of(tables, self.names) for axis in self.axes] + [squareness_block(square, self.names)]
-        return {block.name: _into(blocks[block.name], block, self.names) for block in made}
+        square = {name: float(value[0]) for name, value in tables.items() if name in SQUARENESS_NAMES}
+        known = [axis.block_of(tables, self.names) for axis in self.axes] + [squareness_block(square, self.names)]
+        return {block.name: _into(blocks[block.name], block, self.names) for block in known}
 
     def drawn(self, blocks: Mapping[str, Block], rng: np.random.Generator) -> dict[str, Block]:
         """Return the blocks of a machine with errors drawn within their covariance."""
@@ -67,6 +76,7 @@ class KnownAxes:
         known = std > 0
         values, vectors = np.linalg.eigh(self.covariance[np.ix_(known, known)] / std[known] / std[known][:, None])
         kept = values > _RANK * values[-1]
+        # the eigenvectors of the correlation: along them entries of different units can be compared
         turned = (vectors[:, kept] / std[known][:, None]).T
         by_entry = {name: rows[known] for name, rows in self._by_values(blocks).items()}
         weights = {name: np.tensordot(turned, weight, 1) for name, weight in by_entry.items() if weight.any()}
@@ -81,7 +91,7 @@ class KnownAxes:
         }
         derivatives[SQUARENESS] = np.zeros((len(self.entries), *blocks[SQUARENESS].values.shape))
         for i, (name, position) in enumerate(self.entries):
-            if name not in _OF_AXES:
+            if name in SQUARENESS_NAMES:
                 derivatives[SQUARENESS][i, 0, blocks[SQUARENESS].column(name)] = 1.0
                 continue
             axis = next(axis for axis in self.axes if axis.letter == name[-1])
@@ -89,10 +99,6 @@ class KnownAxes:
             knot = int(np.argmin(np.abs(axis.knots - position)))
             derivatives[axis.block][i, :, column] = axis.from_raw[column][knot]
         return derivatives
-
-
-_OF_AXES = frozenset(ALL_NAMES[:18])
-"""Errors that have tables; the others are squareness"""
 
 
 def with_known_axes(problem: MachineProblem, settings: Settings, result: Result | None) -> MachineProblem:
@@ -112,25 +118,26 @@ def known_axes(machine: Machine, settings: Settings, result: Result) -> KnownAxe
     """
     axes = tuple(axis for axis in machine.axes if axis.letter in AXES)
     raise_if(_other_axes(axes, settings, result))
-    given = result.tables["tables_entries"]
-    status = dict(zip(result.tables["errors"].texts("error"), result.tables["errors"].texts("status"), strict=True))
-    open_ones = (Determination.UNDETERMINED, Determination.NOT_ESTIMATED)
+    listed_entries, listed_errors = result.tables["tables_entries"], result.tables["errors"]
+    status = dict(zip(listed_errors.texts("error"), listed_errors.texts("status"), strict=True))
+    without_value = (Determination.UNDETERMINED, Determination.NOT_ESTIMATED)
     letters = {axis.letter for axis in axes}
     names = tuple(
         name
         for name in ALL_NAMES
-        if name not in settings.estimated and status.get(name, Determination.NOT_ESTIMATED) not in open_ones
-        if name not in _OF_AXES or name[-1] in letters
+        if name not in settings.estimated and status.get(name, Determination.NOT_ESTIMATED) not in without_value
+        if name in SQUARENESS_NAMES or name[-1] in letters
     )
     if not names:
         text = "the job estimates all errors of the linear axes that the result has"
         hint = "write `estimate: rotary`, or leave `machine` out of the inputs"
         raise InputError([Fault(text, _file(result), hint=hint)])
-    errors = given.texts("error")
-    at = np.flatnonzero(np.isin(errors, names))
-    values = np.concatenate([_values(result, name) for name in dict.fromkeys(errors[i] for i in at)])
-    covariance = result.arrays["tables_covariance"][np.ix_(at, at)]
-    entries = tuple((errors[i], float(given.numbers("position")[i])) for i in at)
+    errors, positions = listed_entries.texts("error"), listed_entries.numbers("position")
+    rows = np.flatnonzero(np.isin(errors, names))
+    # the entries of an error stand together, in the order of its table
+    values = np.concatenate([_values(result, name) for name in dict.fromkeys(errors[i] for i in rows)])
+    covariance = result.arrays["tables_covariance"][np.ix_(rows, rows)]
+    entries = tuple((errors[i], float(positions[i])) for i in rows)
     return KnownAxes(axes, names, entries, values, covariance)
 
 
@@ -139,7 +146,7 @@ def _file(result: Result) -> str:
 
 
 def _values(result: Result, name: str) -> Array:
-    if name in _OF_AXES:
+    if name not in SQUARENESS_NAMES:
         return result.tables[f"tables/{name}"].numbers("value")
     square = result.tables["squareness"]
     return square.numbers("end_points")[[square.texts("error").index(name)]]
@@ -162,7 +169,7 @@ def _other_axes(axes: tuple[Axis, ...], settings: Settings, result: Result) -> I
             yield Fault(f"the result has no {axis.letter}", _file(result), hint="give that of the axes of this machine")
             continue
         low, high, knots = (table.columns[name][letters.index(axis.letter)] for name in ("low", "high", "knots"))
-        if len(axis.knots) != knots or max(abs(axis.knots[0] - low), abs(axis.knots[-1] - high)) > _ALIKE:
+        if len(axis.knots) != knots or max(abs(axis.knots[0] - low), abs(axis.knots[-1] - high)) > _SAME:
             name = axis.letter.lower()
             yield Fault(
                 f"the result has {knots} knots of {axis.letter} from {low:g} to {high:g} mm, the job {len(axis.knots)} "
@@ -176,10 +183,10 @@ def _unknown(known: KnownAxes, result: Result) -> Iterator[str]:
     """Yield a warning if some errors of the earlier result were not determined."""
     errors = result.tables["errors"]
     rows = zip(errors.texts("error"), errors.texts("status"), strict=True)
-    open_ones = [name for name, status in rows if status == Determination.UNDETERMINED]
+    undetermined = [name for name, status in rows if status == Determination.UNDETERMINED]
     together = [name for name, status in rows if status == Determination.TOGETHER and name in known.names]
-    if open_ones:
-        text = f"the earlier calibration does not determine {listed(open_ones)}: taken as 0, without an uncertainty"
+    if undetermined:
+        text = f"the earlier calibration does not determine {listed(undetermined)}: taken as 0, without an uncertainty"
         yield text + (f"; {listed(together)} hold for its tools only" if together else "")
 
 

@@ -74,9 +74,10 @@ def poses_at(settings: Settings, files: Files, shares: Array, margin: float = 1.
         return table
     listed = files.listed_stations
     stations = [f"S{i + 1}" for i in range(STATIONS)] if listed is None else listed.texts("station")
-    again = np.tile(np.arange(n), len(stations))
-    every = Table({name: column[again] for name, column in table.columns.items()}, table.units)
-    return every.joined({"station": np.repeat(np.array(stations), n)})
+    # each station reads all poses
+    rows = np.tile(np.arange(n), len(stations))
+    read = Table({name: column[rows] for name, column in table.columns.items()}, table.units)
+    return read.joined({"station": np.repeat(np.array(stations), n)})
 
 
 def without_errors(settings: Settings, table: Table, files: Files, tracker: Array) -> tuple[Table, Files]:
@@ -91,8 +92,9 @@ def without_errors(settings: Settings, table: Table, files: Files, tracker: Arra
         in_tracker = poses.apply(poses.inverse(tracker), places.T)
         return table.joined({" ".join(CARTESIAN) + " [mm]": in_tracker}), files
     names = list(dict.fromkeys(table.texts("station")))
-    given = files.listed_stations
-    stations = listed_places("station", names, around(places, len(names))) if given is None else given
+    stations = files.listed_stations
+    if stations is None:
+        stations = listed_places("station", names, around(places, len(names)))
     files = replace(files, stations=stations)
     listed = stations.texts("station")
     station = matched(table, "station", listed, stations.file)
@@ -129,7 +131,7 @@ def sides_of(names: Sequence[str], position: Array, time: Array) -> dict[str, Ar
     # before the first position each axis is 1 below it
     moves = np.diff(position[:, order], axis=1, prepend=position[:, order[:1]] - 1)
     # argsort of an order is its inverse: back to the order of the readings
-    return {name: last_sides(own)[np.argsort(order)] for name, own in zip(names, moves, strict=True)}
+    return {name: last_sides(of_axis)[np.argsort(order)] for name, of_axis in zip(names, moves, strict=True)}
 
 
 def in_degrees(table: Table) -> Table:
@@ -159,8 +161,8 @@ def _at_balls(settings: Settings, files: Files, position: Array, margin: float) 
 
 def _inside(machine: Machine, position: Array, margin: float) -> Mask:
     """Return which positions (axes, n) lie in the travel, of linear axes with a margin [mm]."""
-    gap = np.array([0.0 if isinstance(axis, RotaryAxis) else margin for axis in machine.axes])
-    low, high = (machine.low + gap)[:, None], (machine.high - gap)[:, None]
+    margins = np.array([0.0 if isinstance(axis, RotaryAxis) else margin for axis in machine.axes])
+    low, high = (machine.low + margins)[:, None], (machine.high - margins)[:, None]
     return np.asarray(((position >= low) & (position <= high)).all(axis=0))
 
 
@@ -182,8 +184,8 @@ def _in_golden_order(members: int, count: int) -> Index:
 def _columns(machine: Machine, position: Array) -> dict[str, Array]:
     """Return the columns of positions (axes, n), by heading: "x [mm]", "a [rad]"."""
     return {
-        f"{axis.letter.lower()} [{'rad' if axis.letter in ANGLES else 'mm'}]": own
-        for axis, own in zip(machine.axes, position, strict=True)
+        f"{axis.letter.lower()} [{'rad' if axis.letter in ANGLES else 'mm'}]": of_axis
+        for axis, of_axis in zip(machine.axes, position, strict=True)
     }
 
 

@@ -138,7 +138,7 @@ def targets(settings: Settings, blocks: Mapping[str, Block], table: Table, refle
     if unknown:
         raise InputError(
             [
-                table.fault_at(read.index(name), f"'{name}' is no tool and no reflector", suggestion(name, known))
+                table.fault_at(read.index(name), f"'{name}' is neither a tool nor a reflector", suggestion(name, known))
                 for name in unknown
             ]
         )

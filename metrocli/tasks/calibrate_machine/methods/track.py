@@ -18,8 +18,25 @@ from metrocli.table import Table
 _FAR = 0.02
 """Largest median misfit as a share of the extent of the points; errors of machines are far smaller"""
 _UNITS = (1e3, 1e-3, 25.4, 1 / 25.4)
+"""Factors of a wrong unit: m or mm, inch or mm"""
 _NEAR = 0.05
 """Relative difference of extents up to which a unit explains them"""
+_WILD = 1.0
+"""Points farther from the path than three times the median distance plus this [mm] are wild"""
+_DWELL = 0.2
+"""Below this share of the leg's usual speed the machine counts as standing still"""
+_FAST = 3.0
+"""Speeds above this multiple of their 90 % quantile are jumps of the beam and are limited to it"""
+_BREAK = 20.0
+"""A step longer than this many median steps is a break of the beam ..."""
+_LEAST_BREAK = 3.0
+"""... if it is also longer than this [mm]"""
+_SETTLE = 2.0
+"""Points within this distance of either end of a break are removed [mm]"""
+_REACH = 1000
+"""Number of points examined on either side of a break"""
+_FEW = 50
+"""Points of a track below which its speeds and steps show nothing"""
 MIRRORED = "the tracker's frame is left-handed: two of mx, my, mz are swapped, or one of them has the wrong sign"
 """Hint for measured points that are a mirror image; both causes look the same, since the frame is estimated"""
 
@@ -75,21 +92,6 @@ def mismatch(measured: Array, nominal: Array, file: str) -> Fault:
     return Fault(text, file, hint="is this the measurement of another path or list, or are rows missing or reordered?")
 
 
-_WILD = 1.0
-"""Points farther from the path than three times the median distance plus this [mm] are wild"""
-_DWELL = 0.2
-"""Below this share of the leg's usual speed the machine counts as standing still"""
-_FAST = 3.0
-"""Speeds above this multiple of their 90 % quantile are jumps of the beam and are limited to it"""
-_BREAK = 20.0
-"""A step longer than this many median steps is a break of the beam ..."""
-_LEAST_BREAK = 3.0
-"""... if it is also longer than this [mm]"""
-_SETTLE = 2.0
-"""Points within this distance of either end of a break are removed [mm]"""
-_FEW = 50
-
-
 @dataclass(frozen=True)
 class Track:
     """Points of the tracker on the legs of a path, in order of time."""
@@ -139,20 +141,19 @@ def cut(table: Table, path: Path, tools: Array, track_tool: Index | None, corner
         "path_length": path.length,
     }
     seen = np.bincount(leg[kept], minlength=len(path.lengths)) > 0
-    notes = _notes_on_cuts(breaks, leg, along, wild) + _unseen(seen, path)
-    return Track(points[:, kept], leg[kept], conditions, alignment.pose, tuple(notes), facts)
+    warnings = _warnings_on_cuts(breaks, leg, along, wild) + _unseen(seen, path)
+    return Track(points[:, kept], leg[kept], conditions, alignment.pose, tuple(warnings), facts)
 
 
 def _aligned(points: Array, tool: Index | None, path: Path, tools: Array, file: str) -> Alignment:
     alignment = align(points, tool, path, tools)
     _, leg, nominal = path.sampled(3000)
     nominal = nominal + tools[path.tool[leg]].T
-    limit = _FAR * extent(nominal)
-    if alignment.miss <= limit and wrong_unit(points[:, alignment.rows], nominal) is None:
+    used, limit = points[:, alignment.rows], _FAR * extent(nominal)
+    if wrong_unit(used, nominal) is not None:
+        raise InputError([mismatch(used, nominal, file)])
+    if alignment.miss <= limit:
         return alignment
-    thin = points[:, alignment.rows]
-    if wrong_unit(thin, nominal) is not None:
-        raise InputError([mismatch(thin, nominal, file)])
     mirrored = align(points * [[1.0], [1.0], [-1.0]], tool, path, tools)
     if mirrored.miss <= limit:
         text = "the track is a mirror image of the path"
@@ -168,21 +169,20 @@ def _on_legs(points: Array, alignment: Alignment, path: Path, tools: Array) -> t
     numbers = np.arange(points.shape[1])
     # the alignment has some of the points: one between two of them is on the leg of either
     after = np.clip(np.searchsorted(alignment.rows, numbers), 0, len(alignment.rows) - 1)
-    ends = path.leg_of(alignment.way)
-    candidates = (ends[np.maximum(after - 1, 0)], ends[after])
-    each = [_to_leg(aligned, leg, path, tools) for leg in candidates]
-    second = each[1][1] < each[0][1]
-    leg = np.where(second, candidates[1], candidates[0])
-    along, off = (np.where(second, each[1][k], each[0][k]) for k in range(2))
-    return leg, along, off
+    legs = path.leg_of(alignment.way)
+    candidates = (legs[np.maximum(after - 1, 0)], legs[after])
+    (along, off), (along_after, off_after) = (_to_leg(aligned, leg, path, tools) for leg in candidates)
+    nearer = off_after < off
+    leg = np.where(nearer, candidates[1], candidates[0])
+    return leg, np.where(nearer, along_after, along), np.where(nearer, off_after, off)
 
 
 def _to_leg(aligned: Array, leg: Index, path: Path, tools: Array) -> tuple[Array, Array]:
     """Return the distance of points along their leg, and their distance from the leg as a segment."""
     from_start = aligned - (path.start + tools[path.tool])[leg]
     along = np.einsum("na,na->n", from_start, path.direction[leg])
-    inside = np.clip(along, 0.0, path.lengths[leg])
-    return along, np.linalg.norm(from_start - path.direction[leg] * inside[:, None], axis=1)
+    foot = path.direction[leg] * np.clip(along, 0.0, path.lengths[leg])[:, None]
+    return along, np.linalg.norm(from_start - foot, axis=1)
 
 
 def _standing(points: Array, leg: Index) -> Mask:
@@ -230,11 +230,7 @@ def _breaks(points: Array, wild: Mask, tool: Index) -> tuple[Mask, Index]:
     return near, rows[at]
 
 
-_REACH = 1000
-"""Number of points examined on either side of a break"""
-
-
-def _notes_on_cuts(breaks: Index, leg: Index, along: Array, wild: Mask) -> list[str]:
+def _warnings_on_cuts(breaks: Index, leg: Index, along: Array, wild: Mask) -> list[str]:
     lines = []
     if len(breaks):
         places = [f"leg {leg[k] + 1} at {max(along[k], 0.0):.0f} mm" for k in breaks[:5].tolist()]

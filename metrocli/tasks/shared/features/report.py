@@ -24,7 +24,7 @@ _ALL = (*NUMBERS, "form")
 _UNITS = {"x": "mm", "y": "mm", "z": "mm", "radius": "mm", "half_angle": "rad", "form": "mm"}
 SHOWN = ("feature", "fit", "x", "y", "z", "sx", "sy", "sz", "radius", "s_radius", "form", "s_form")
 _READINGS_FIT = 0.0
-"""Misfit of the lengths: too few points of a feature are no reason to read the files in another way"""
+"""Misfit of the lengths: too few points of a feature are not a reason to read the files in another way"""
 _REACH = 3.0
 """Distance of a point from the limit of its zone, in standard deviations, up to which errors can bring it there"""
 _WITHOUT = {

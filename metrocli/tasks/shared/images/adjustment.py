@@ -22,7 +22,7 @@ from metrocli.errors import InputError, NotConvergedError
 from metrocli.frozen import dataclass
 from metrocli.instruments.camera import LENS
 from metrocli.table import Table
-from metrocli.tasks.shared.noise import Structured, noise_found
+from metrocli.tasks.shared.noise import Structured, job_noise
 
 IMAGES = "images"
 """Name of the group of image points"""
@@ -105,7 +105,7 @@ class AdjustedImages:
         # a list of targets that is estimated too, and seen in all images, is not part of the lens
         first = tuple(name for name in delivered if len(self.solution.blocks[name].members) == 1)
         clusters = Clusters({self.group.name: self.group.observations.index["view"]}, "images", first=first)
-        noise = noise_found((self.solution, 1.0), STRUCTURED, lambda: clusters, delivered)
+        noise = job_noise((self.solution, 1.0), STRUCTURED, lambda: clusters, delivered)
         return replace(self, solution=noise.solution, structured=noise.structured)
 
 
@@ -180,7 +180,7 @@ def adjust_images(
 
 
 def _without_lost_views(blocks: Mapping[str, Block], group: Group) -> Mapping[str, Block]:
-    """Return the blocks; the pose of an image that lost all readings is no unknown: nothing else depends on it."""
+    """Return the blocks; the pose of an image that lost all readings is not an unknown: nothing else depends on it."""
     view = blocks.get("view")
     if view is None:
         return blocks

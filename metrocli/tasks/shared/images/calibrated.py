@@ -131,7 +131,7 @@ def _difference(first: StatedCamera, other: StatedCamera) -> LensDifference:
     uv = np.stack([part.ravel() for part in np.meshgrid(*along)])
     seen, there = _units(first, uv), _units(other, uv)
     known = np.isfinite(seen).all(axis=0) & np.isfinite(there).all(axis=0)
-    # what a turn of the camera explains is no difference of its lens: the poses of its images take it up
+    # what a turn of the camera explains is not a difference of its lens: the poses of its images take it up
     rotation = nearest_rotation(there[:, known] @ seen[:, known].T)
     wanted, at = rotation @ seen, uv.copy()
     for _ in range(_ROUNDS):

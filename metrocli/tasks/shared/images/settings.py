@@ -208,7 +208,7 @@ class OfCameraFile:
 
 
 CAMERA_FILES = (".txt", ".xml", ".cameramodel", ".m")
-"""Endings of camera files of other programs that are no YAML"""
+"""Endings of camera files of other programs that are not YAML"""
 
 
 _SIZE = ListOf(Whole(minimum=2, maximum=100_000), length=2)

@@ -28,7 +28,7 @@ _BEYOND = 0.01
 _MANY = 0.25
 """If a larger share of the readings lies outside, the file is refused; a smaller share may be gross errors"""
 _EXCHANGED = 0.02
-"""A smaller share of readings outside is no sign of exchanged columns: these put a strip of the image outside"""
+"""A smaller share of readings outside is not a sign of exchanged columns: these put a strip of the image outside"""
 _MOST_LOST = 1 / 3
 """Largest share of the images that is left out with a warning"""
 

@@ -38,5 +38,5 @@ def test_the_ranges_are_those_of_the_turning_part(tmp_path: Path) -> None:
         found, u = table.numbers("range")[row], table.numbers("U_range")[row]
         assert abs(found - np.ptp(values)) < 1.5 * u, (motion, direction)
         assert u < 0.3 * found
-        # the mean is no error of the motion
+        # the mean is not an error of the motion
         assert abs(table.numbers("high")[row] - (values - values[:-1].mean()).max()) < 2 * u

@@ -77,7 +77,7 @@ def test_targets_are_in_degrees_and_their_means_near_the_truth(made: tuple[Resul
 
 
 def test_scattered_poses_have_no_figures(tmp_path: Path) -> None:
-    """Of one axis alone some poses stand in a row by chance: they are no runs, and nobody is told what they lack."""
+    """Of one axis alone some poses stand in a row by chance: they are not runs, and nobody is told what they lack."""
     two = sim.KINDS["table-table"]
     for kind in (two, replace(two, chain="CbXYZ", axes={key: own for key, own in two.axes.items() if key != "A"})):
         rng = np.random.default_rng(62)
