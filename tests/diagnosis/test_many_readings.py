@@ -11,9 +11,10 @@ from benchmarks.hidden import lengths
 from metrocli.cli.diagnosis_report import findings
 from metrocli.diagnosis import diagnose, verdict
 from metrocli.diagnosis.adjusted_job import AdjustedJob
-from metrocli.diagnosis.evidence import moves
+from metrocli.diagnosis.evidence import moves, products, variances
 from metrocli.diagnosis.evidence.measured_job import measurement_of
 from metrocli.diagnosis.evidence.prices import counted
+from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.linear import counting, memory
 from metrocli.errors import InputError
 
@@ -142,3 +143,30 @@ def test_more_wrong_readings_than_can_be_held_are_refused(monkeypatch: pytest.Mo
     monkeypatch.setattr(moves, "MOST_NUMBERS", 2 * 360)
     with pytest.raises(InputError, match="more than 2 wrong readings(.|\n)*outliers: remove"):
         diagnose.diagnose(network)
+
+
+def test_columns_that_give_way_to_others_are_made_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    m = measurement_of(job(60))
+    number = next(i for i in range(len(m.knots)) if len(m.lengths(i)) > 1)
+    parts = [m.correlated(number, length, -1) for length in m.lengths(number)[:2]]
+    states = [State.of(m, random=[part], logs=[0.5]) for part in parts]
+    monkeypatch.setattr(products, "MOST_FOUND", max(part.columns.size for part in parts))
+    m = measurement_of(job(60))
+    again = [State.of(m, random=[part], logs=[0.5]) for part in (*parts, *parts)]
+    assert [state.score for state in again] == [state.score for state in (*states, *states)]
+    assert len(m.columns) == 1
+
+
+def test_errors_for_whose_columns_there_is_no_room_are_not_sought(monkeypatch: pytest.MonkeyPatch) -> None:
+    m = measurement_of(job(60))
+    number = next(i for i, knots in enumerate(m.knots) if knots.functions.count == 6)
+    t = m.correlated(number, 1 / 4, -1).columns
+    rng = np.random.default_rng(3)
+    m = replace(m, system=replace(m.system, residual=m.system.seen(9 * t @ rng.normal(size=t.shape[1]))), cache={})
+    assert any(error.key[2] < 0 for error in variances.correlated_errors(State.of(m), set()))
+    # room for an error of one tracer, not for one of each
+    monkeypatch.setattr(variances, "MOST_FOUND", t.size // 6)
+    errors = variances.correlated_errors(State.of(m), set())
+    assert errors and all(error.key[2] >= 0 for error in errors if m.knots[error.key[0]].functions.count > 1)
+    monkeypatch.setattr(variances, "MOST_FOUND", 0)
+    assert not variances.correlated_errors(State.of(m), set())

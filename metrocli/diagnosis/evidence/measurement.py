@@ -69,7 +69,9 @@ class Measurement:
     unweighted: Measurement | None = None
     """The measurement with the declared noise of all readings; None if it is this one"""
     cache: dict[object, Array] = field(default_factory=dict, compare=False, repr=False)
-    """Cache of columns and products"""
+    """Cache of products"""
+    columns: dict[object, Array] = field(default_factory=dict, compare=False, repr=False)
+    """Columns of parts without what unknowns absorb; those that were asked for last are held"""
 
     @cached_property
     def squares(self) -> float:

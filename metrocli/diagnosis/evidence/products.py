@@ -5,7 +5,8 @@ Method: docs/algorithms/evidence.md.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -16,6 +17,7 @@ from metrocli.diagnosis.evidence.likelihood import Products
 from metrocli.diagnosis.evidence.measurement import Measurement
 from metrocli.diagnosis.evidence.parts import Fixed, Random
 from metrocli.diagnosis.linear.basis import Columns
+from metrocli.diagnosis.linear.projection import MOST_FOUND
 
 KeyedColumns = tuple[object, Array]
 """Columns (rows, k) of a part of a state, with the key by which their products are cached"""
@@ -23,12 +25,49 @@ _REDUCED = "free of unknowns"
 """Begins the key of columns that are free of the shared unknowns, too"""
 
 
-def without_local(m: Measurement, key: object, columns: Array) -> Array:
-    """Return columns (rows, k) without what local unknowns absorb, computed once for each key."""
-    if key not in m.cache:
-        basis = m.system.basis.of_members
-        m.cache[key] = columns - basis.combined(basis.coordinates(columns)) if basis.members else columns
-    return m.cache[key]
+def _free_of_local(m: Measurement, parts: Sequence[KeyedColumns]) -> list[KeyedColumns]:
+    """Return the columns of parts, with their keys, without what local unknowns absorb."""
+    return _held(m, parts, partial(_without_local, m))
+
+
+def _free_of_all(m: Measurement, parts: Sequence[KeyedColumns]) -> list[KeyedColumns]:
+    """Return the columns X of parts without what the unknowns absorb, `X - A A'X`, with keys of their own.
+
+    A are the orthonormal columns of the shared unknowns, free of the local ones.
+    """
+
+    def without(columns: Array) -> Array:
+        left, shared = _without_local(m, columns), m.system.basis.shared
+        return left - shared @ (shared.T @ left)
+
+    return _held(m, [((_REDUCED, key), columns) for key, columns in parts], without)
+
+
+def _without_local(m: Measurement, columns: Array) -> Array:
+    basis = m.system.basis.of_members
+    return columns - basis.combined(basis.coordinates(columns)) if basis.members else columns
+
+
+def _held(m: Measurement, parts: Sequence[KeyedColumns], without: Callable[[Array], Array]) -> list[KeyedColumns]:
+    """Return the columns of parts, without something; they are held for later.
+
+    If these are too many, those that were asked for longest ago give way, and are made again when they are needed.
+    """
+    held = {key: m.columns.pop(key) for key, _ in parts if key in m.columns}
+    if new := [(key, columns) for key, columns in parts if key not in held]:
+        # all at once: many parts are errors of one reading
+        left = without(np.concatenate([columns for _, columns in new], axis=1))
+        ends = np.cumsum([columns.shape[1] for _, columns in new])[:-1]
+        # copies: a part of an array would hold the whole of it
+        held |= {key: own.copy() for (key, _), own in zip(new, np.split(left, ends, axis=1), strict=True)}
+    older = list(m.columns)
+    m.columns.update((key, held[key]) for key, _ in parts)
+    count = sum(columns.size for columns in m.columns.values())
+    for key in older:
+        if count <= MOST_FOUND:
+            break
+        count -= m.columns.pop(key).size
+    return [(key, held[key]) for key, _ in parts]
 
 
 def shared_parts(
@@ -41,26 +80,8 @@ def shared_parts(
     others: list[KeyedColumns] = [((part.kind, part.key), part.columns) for part in random if not part.local]
     others += [((part.sort, part.key), part.columns) for part in fixed]
     if unknowns:
-        return [
-            ("unknowns", m.system.basis.shared),
-            *((key, without_local(m, key, columns)) for key, columns in others),
-        ]
-    return [*zip([(_REDUCED, key) for key, _ in others], _without_unknowns(m, others), strict=True)]
-
-
-def _without_unknowns(m: Measurement, parts: Sequence[KeyedColumns]) -> list[Array]:
-    """Return the columns X of parts without what the unknowns absorb, `X - A A'X`, computed once for each key.
-
-    A are the orthonormal columns of the shared unknowns, free of the local ones.
-    """
-    new = [(key, columns) for key, columns in parts if (_REDUCED, key) not in m.cache]
-    if new:
-        left, shared = np.concatenate([without_local(m, *part) for part in new], axis=1), m.system.basis.shared
-        left -= shared @ (shared.T @ left)
-        ends = np.cumsum([columns.shape[1] for _, columns in new])[:-1]
-        for (key, _), own in zip(new, np.split(left, ends, axis=1), strict=True):
-            m.cache[_REDUCED, key] = own
-    return [m.cache[_REDUCED, key] for key, _ in parts]
+        return [("unknowns", m.system.basis.shared), *_free_of_local(m, others)]
+    return _free_of_all(m, others)
 
 
 def shared_columns(
@@ -80,8 +101,7 @@ def shared_columns(
 
 def _local_parts(m: Measurement, random: Sequence[Random]) -> list[KeyedColumns]:
     """Return the columns of errors of single members with their keys, free of the unknowns of these."""
-    keys = [((part.kind, part.key), part.columns) for part in random if part.local]
-    return [(key, without_local(m, key, columns)) for key, columns in keys]
+    return _free_of_local(m, [((part.kind, part.key), part.columns) for part in random if part.local])
 
 
 def local_columns(m: Measurement, random: Sequence[Random]) -> Array:

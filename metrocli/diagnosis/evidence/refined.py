@@ -215,4 +215,4 @@ def _with_alternative(m: Measurement, number: int, alternative: Candidate, whole
     bare = m.unweighted and _with_alternative(m.unweighted, number, alternative, whole / m.weights[:, None])
     families = (*m.families[:number], grown, *m.families[number + 1 :])
     # with a cache of its own: in another branch of the search its number is that of another value
-    return replace(m, families=families, unweighted=bare, cache={**m.cache})
+    return replace(m, families=families, unweighted=bare, cache={**m.cache}, columns={**m.columns})

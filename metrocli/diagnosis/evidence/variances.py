@@ -17,6 +17,7 @@ from metrocli.diagnosis.evidence.measurement import LENGTHS, Measurement
 from metrocli.diagnosis.evidence.parts import CORRELATED, LARGEST, SCATTER, Random
 from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.linear.basis import thin, without_gathering
+from metrocli.diagnosis.linear.projection import MOST_FOUND
 from metrocli.diagnosis.noise import DECLARED_SIGMA
 from metrocli.frozen import dataclass
 
@@ -139,9 +140,12 @@ def _of_units(state: State, number: int) -> tuple[Array, Array]:
 def correlated_errors(state: State, quiet: set[int], most: int = 3) -> list[Found]:
     """Return the correlated errors with the largest quick net gains, the best first.
 
-    Covariates that show nothing are added to `quiet`, and those that are there are not looked at again.
+    Covariates that show nothing are added to `quiet`, and those that are there are not looked at again. Errors whose
+    columns would need too much memory beside those of the state are not among them: of many readings, short ones.
     """
     m, scale = state.measurement, state.fit.dof / state.fit.squares
+    taken = [*(part.columns.shape[1] for part in state.random), *(part.rank for part in state.fixed)]
+    room = MOST_FOUND // m.system.rows - sum(taken)
     present = {part.key for part in state.random if part.kind == CORRELATED}
     scored: list[tuple[float, tuple[int, int, int], Array, Array]] = []
     for number, own in enumerate(m.knots):
@@ -149,15 +153,19 @@ def correlated_errors(state: State, quiet: set[int], most: int = 3) -> list[Foun
             continue
         blocks, before = _blocks(state, number), len(scored)
         for length in m.lengths(number):
-            at = LENGTHS.index(length)
-            gram, right = blocks.turned(m.kernel(number, length))
+            at, turn = LENGTHS.index(length), m.kernel(number, length)
+            of_a_unit, units = own.components * turn.shape[1], own.functions.count
+            if of_a_unit > room:
+                continue
+            gram, right = blocks.turned(turn)
             # score test of a variance at 0: what is found less what is expected,
             # over its standard deviation for white noise
             z = float((right**2).sum()) * scale - float(np.einsum("ukk->", gram))
             z /= np.sqrt(2 * float((gram**2).sum()) + 1e-300)
-            scored.append((z, (number, at, -1), gram, right))
-            if own.functions.count > 1:
-                scored += _singles(gram, right, scale, (number, at), own.functions.count)
+            if m.local[number] or of_a_unit * units <= room:
+                scored.append((z, (number, at, -1), gram, right))
+            if units > 1:
+                scored += _singles(gram, right, scale, (number, at), units)
         if max((process[0] for process in scored[before:]), default=0.0) < _NOTICED:
             quiet.add(number)
     scored = [process for process in scored if process[0] > _NOTICED and process[1] not in present]

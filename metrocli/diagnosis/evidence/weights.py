@@ -120,6 +120,7 @@ def _system_weighted(measurement: Measurement, ratios: Mapping[int, float], fact
         unweighted=measurement.unweighted or measurement,
         log_scale=measurement.log_scale + float(np.log(factor).sum()) - log_det / 2,
         cache={},
+        columns={},
     )
 
 
