@@ -24,7 +24,6 @@ from metrocli.targets.lattice import GATE
 from metrocli.tasks.calibrate_camera.problem import CameraProblem
 from metrocli.tasks.shared.images.adjustment import AdjustedImages
 from metrocli.tasks.shared.images.camera_parameters import HIGH_CORRELATION
-from metrocli.words import listed
 
 _PARALLEL = np.radians(3.0)
 _TURNED = np.radians(45.0)
@@ -169,23 +168,6 @@ def turned_too_little(problem: CameraProblem) -> list[str]:
         "Errors of lens and board look alike then, and cx and cy can be off by more than their uncertainty. "
         "Turn it by 90 degrees for some images, or use `targets: listed`"
     ]
-
-
-def seen_from_behind(problem: CameraProblem) -> list[str]:
-    """Return which images show a flat board from the other side than most: they may be mirrored.
-
-    A mirrored image of a board fits the board seen from behind, so no residual shows it.
-    """
-    frame, planar = plane_frame(problem.sighted.targets.points[np.unique(problem.sighted.target)])
-    if problem.rig != "board" or not planar:
-        return []
-    behind = poses.apply(frame, poses.inverse(problem.blocks[camera.VIEW].values)[:, :3])[:, 2] > 0
-    few = behind if 2 * behind.sum() <= len(behind) else ~behind
-    few &= problem.blocks[camera.VIEW].free.any(axis=1)  # an image that lost all readings has no pose
-    named = [name for name, there in zip(problem.sighted.images, few, strict=True) if there]
-    noun = "image" if len(named) == 1 else "images"
-    text = f"{noun} {listed(named)}: the board is seen from the other side than in the others; mirrored?"
-    return [text] if named else []
 
 
 def strange_images(problem: CameraProblem, images: Group, residuals: Array | None = None) -> list[str]:

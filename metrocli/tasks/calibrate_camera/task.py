@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import partial
 
 from metrocli.adjust.clusters.robust import FROM_RESIDUALS, STRUCTURED, must_suffice
 from metrocli.adjust.outcome import Outcome
@@ -13,7 +14,7 @@ from metrocli.errors import InputError, UndeterminedError, UsageError
 from metrocli.imageset import ImageSet
 from metrocli.result import Result
 from metrocli.table import Table
-from metrocli.tasks.calibrate_camera import other_lenses
+from metrocli.tasks.calibrate_camera import other_lenses, turned_images
 from metrocli.tasks.calibrate_camera.advice import explained, ran_out, strange_images
 from metrocli.tasks.calibrate_camera.build import build, robustly_started
 from metrocli.tasks.calibrate_camera.compare import compare_models
@@ -53,13 +54,19 @@ def run(job: Job[Settings, Files]) -> Result:
     Raises InputError if the files do not fit together, UndeterminedError if the readings do not determine the
     parameters, and NotConvergedError if the adjustment does not converge.
     """
+    return with_adjustment(job)[0]
+
+
+def with_adjustment(job: Job[Settings, Files]) -> tuple[Result, Callable[[], AdjustedJob] | None]:
+    """Return the result, and where images show the board from behind what adjusts the job for a comparison."""
     if job.settings.cameras is not None:
-        return multi_camera.run(job, job.settings.cameras)
+        return multi_camera.run(job, job.settings.cameras), None
     settings, problem = prepared(job)
     adjusted = solved(settings, problem)
     if settings.noise == STRUCTURED:
         adjusted = adjusted.with_structure(delivered(problem.rig, problem.effects))
-    return report(problem, settings, adjusted, job.files.test_lengths)
+    result = report(problem, settings, adjusted, job.files.test_lengths)
+    return result, partial(diagnosed, job) if turned_images.behind(problem) else None
 
 
 def diagnosed(job: Job[Settings, Files]) -> AdjustedJob:
@@ -68,17 +75,19 @@ def diagnosed(job: Job[Settings, Files]) -> AdjustedJob:
         return multi_camera.diagnosed(job, job.settings.cameras)
     settings, problem = prepared(job)
     whole = adjusted_job(problem, solved(replace(settings, outliers="report"), problem))
-    return replace(whole, not_sought=not_sought(settings.shutter, whole.model))
+    noticed = tuple(turned_images.seen_from_behind(problem))
+    return replace(whole, not_sought=not_sought(settings.shutter, whole.model), noticed=noticed)
 
 
 def other_settings(job: Job[Settings, Files], fits: bool) -> Iterator[tuple[Mistake, Job[Settings, Files]]]:
-    """Yield several cameras in place of one whose images pair, and the model fisheye in place of a pinhole.
+    """Yield several cameras in place of one whose images pair, mirrored images, and a fisheye in place of a pinhole.
 
     The model is compared with the readings where no declared noise fits.
     """
     settings = job.settings
     if settings.cameras is None:
         yield from as_several(job)
+        yield from turned_images.other_settings(job, prepared(job)[1])
     each: list[CameraSettings] = [settings.camera] if settings.cameras is None else [*settings.cameras.values()]
     known = fits and isinstance(settings.noise, float)
     if known or not any(camera.convention == "forward" and camera.model != SPLINE for camera in each):
@@ -178,5 +187,6 @@ TASK = Task(
     covariates=all_covariates,
     answers={"compare": compare},
     other_settings=other_settings,
+    with_adjustment=with_adjustment,
     unplaced=("targets",),
 )

@@ -1,20 +1,26 @@
-"""Images that a viewer turned by 180 degrees: each still fits a board, with the principal point on the other side.
+"""Images that a viewer turned or mirrored: each still fits a board.
 
-A turned image has (W-1-u, H-1-v) for (u, v), so its principal point is that of the others, reflected in the middle of
-the image. Poses take up most of the difference, and the noise the rest.
+One that is turned by 180 degrees has (W-1-u, H-1-v) for (u, v), so its principal point is that of the others, reflected
+in the middle of the image. Poses take up most of the difference, and the noise the rest. One that is mirrored, or whose
+u and v are exchanged, fits the board seen from behind.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 
 from metrocli.adjust.adjustment import StoppingRule, adjust
 from metrocli.arrays import Array, Mask
+from metrocli.diagnosis.corrections import Mistake
 from metrocli.geometry import poses
 from metrocli.instruments import camera
+from metrocli.instruments.camera_start import plane_frame
 from metrocli.tasks.calibrate_camera.problem import CameraProblem
+from metrocli.tasks.calibrate_camera.settings import Files, Settings
+from metrocli.tasks.job import Job
 from metrocli.tasks.shared.images.adjustment import AdjustedImages
 from metrocli.words import listed
 
@@ -69,6 +75,45 @@ def turned_images(problem: CameraProblem, adjusted: AdjustedImages) -> list[str]
         f"with them turned back the squared residuals are {solution.cost / other.cost:.2g} times smaller and {f} = "
         f"{values[f]:.1f} px; save all images as the camera wrote them"
     ]
+
+
+def seen_from_behind(problem: CameraProblem) -> list[str]:
+    """Return which images show a flat board from the other side than most: they may be mirrored."""
+    named = behind(problem)
+    noun = "image" if len(named) == 1 else "images"
+    text = f"{noun} {listed(named)}: the board is seen from the other side than in the others; mirrored?"
+    return [text] if named else []
+
+
+def other_settings(job: Job[Settings, Files], problem: CameraProblem) -> Iterator[tuple[Mistake, Job[Settings, Files]]]:
+    """Yield the observed points of images that show the board from behind, mirrored back in each way that differs."""
+    named, table = behind(problem), job.files.observations
+    if not named or table is None:
+        return
+    there, many = np.isin(table.texts("image"), named), len(named) > 1
+    of = f"{'images' if many else 'image'} {listed(named)}"
+    u, v = table.numbers("u"), table.numbers("v")
+    w, h = problem.image_size
+    ways = (
+        (f"u and v of {of} are exchanged", f"u as v and v as u of {of}", v, u),
+        (f"{of} {'are' if many else 'is'} mirrored from left to right", f"{w - 1} - u for u of {of}", w - 1 - u, v),
+        (f"{of} {'are' if many else 'is'} mirrored upside down", f"{h - 1} - v for v of {of}", u, h - 1 - v),
+    )
+    for words, write, new_u, new_v in ways:
+        columns = {**table.columns, "u": np.where(there, new_u, u), "v": np.where(there, new_v, v)}
+        changed = replace(job.files, observations=replace(table, columns=columns))
+        yield Mistake("observations", words, write, file=table.file, sort="images"), replace(job, files=changed)
+
+
+def behind(problem: CameraProblem) -> list[str]:
+    """Return the images that show a flat board from the other side than most."""
+    frame, planar = plane_frame(problem.sighted.targets.points[np.unique(problem.sighted.target)])
+    if problem.rig != "board" or not planar:
+        return []
+    behind = poses.apply(frame, poses.inverse(problem.blocks[camera.VIEW].values)[:, :3])[:, 2] > 0
+    few = behind if 2 * behind.sum() <= len(behind) else ~behind
+    few &= problem.blocks[camera.VIEW].free.any(axis=1)  # an image that lost all readings has no pose
+    return [name for name, there in zip(problem.sighted.images, few, strict=True) if there]
 
 
 def _rolled(values: Array, rig: str) -> Array:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 
 from benchmarks.halves import board_job, selected, simulated
 from benchmarks.references import DATA, network_job
+from metrocli.diagnosis.other_settings import with_other_setting
 from metrocli.errors import NotConvergedError, UndeterminedError
 from metrocli.geometry.rotations import rotation_from_vector
 from metrocli.result import Result
@@ -81,6 +83,30 @@ def test_a_mirrored_image_of_a_board_is_named() -> None:
     text = "image i05: the board is seen from the other side than in the others; mirrored?"
     assert text in calibrate_camera.run(mirrored(measured(2, wrong=False), "i05", SIZE[0])).warnings
     assert not [line for line in calibrate_camera.run(measured(2, wrong=False)).warnings if "other side" in line]
+
+
+def test_a_diagnosis_has_images_that_no_residual_shows() -> None:
+    """It was clean, and listed nothing."""
+    (noticed,) = calibrate_camera.diagnosed(mirrored(measured(2, wrong=False), "i05", SIZE[0])).noticed
+    assert noticed.startswith("image i05: the board is seen from the other side")
+    assert not calibrate_camera.diagnosed(measured(2, wrong=False)).noticed
+
+
+def test_an_image_whose_u_and_v_are_exchanged_is_named() -> None:
+    """It was done, with k2 wrong by 10 sigma, and its diagnosis had a law and wrong readings."""
+    right = measured(2, wrong=False)
+    seen = right.files.observations
+    assert seen is not None
+    there, u, v = np.array(seen.texts("image")) == "i05", seen.numbers("u"), seen.numbers("v")
+    swapped = Table({**seen.columns, "u": np.where(there, v, u), "v": np.where(there, u, v)}, seen.units)
+    job = replace(right, files=replace(right.files, observations=swapped))
+    _, adjustment = calibrate_camera.with_adjustment(job)
+    assert adjustment is not None and calibrate_camera.with_adjustment(right)[1] is None
+    mistaken = with_other_setting(adjustment(), partial(calibrate_camera.TASK.others, job))
+    assert mistaken is not None
+    (wrong,) = mistaken.mistakes
+    assert str(wrong) == "observations: u and v of image i05 are exchanged"
+    assert wrong.write == "u as v and v as u of image i05"
 
 
 def near_and_far(seed: int, tilt: float, order: int, estimated: tuple[str, ...]) -> Job[Settings, Files]:
