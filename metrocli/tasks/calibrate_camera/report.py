@@ -32,7 +32,7 @@ from metrocli.tasks.calibrate_camera.projection_error import (
 from metrocli.tasks.calibrate_camera.readings import longer_than_listed, units_doubted
 from metrocli.tasks.calibrate_camera.settings import CameraSettings, Settings
 from metrocli.tasks.calibrate_camera.shape.found import link_of, shape_arrays, shape_notes, shape_rms, shape_table
-from metrocli.tasks.calibrate_camera.turned_images import seen_from_behind
+from metrocli.tasks.calibrate_camera.wrong_images.turned import seen_from_behind
 from metrocli.tasks.shared.images.adjustment import AdjustedImages
 from metrocli.tasks.shared.images.camera_parameters import Parameters, parameters, pose_columns, unit_of
 from metrocli.tasks.shared.images.tables import (

@@ -25,7 +25,7 @@ from metrocli.tasks.calibrate_camera.problem import CameraProblem
 from metrocli.tasks.calibrate_camera.projection_error import angle_warnings
 from metrocli.tasks.calibrate_camera.settings import Settings
 from metrocli.tasks.calibrate_camera.shape.spline import with_shape
-from metrocli.tasks.calibrate_camera.turned_images import seen_from_behind
+from metrocli.tasks.calibrate_camera.wrong_images.turned import seen_from_behind
 from metrocli.tasks.shared.images.adjustment import AdjustedImages, Options, adjust_images
 from metrocli.tasks.shared.images.exposures import IMAGE
 from metrocli.tasks.shared.images.settings import SPLINE
