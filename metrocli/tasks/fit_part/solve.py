@@ -130,7 +130,10 @@ def solve(settings: Settings, prepared: Prepared) -> FittedPart:
     aim, fitted = fitted_part(stock, name, minimum, (begin, largest, holding), prepared.start)
     sense = sensitivity_with_exchanges(fitted, aim, prepared.start, places.of(used).places)
     warnings = (*prepared.readings.warnings, *open_motions, *doubts)
-    return FittedPart(prepared, even, used, stock, aim, fitted, min(minimum, largest), largest, sense, warnings, other)
+    doubted = (*other, *r.far_targets(prepared.readings, fitted.to_part))
+    return FittedPart(
+        prepared, even, used, stock, aim, fitted, min(minimum, largest), largest, sense, warnings, doubted
+    )
 
 
 def _has_the_minimum(stock: Stock, minimum: float, to_part: Array) -> bool:
