@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -20,7 +20,6 @@ from metrocli.adjust.solution import Residuals, Solution, residuals_of
 from metrocli.arrays import Array
 from metrocli.errors import InputError, NotConvergedError
 from metrocli.frozen import dataclass
-from metrocli.instruments.camera import LENS
 from metrocli.table import Table
 from metrocli.tasks.shared.noise import Structured, noise_found
 
@@ -283,22 +282,3 @@ def _rejected(group: Group, tests: Array) -> Table:
     rows, keys = np.flatnonzero(tests), group.observations.keys
     columns = {f"{key} [text]": [keys[key][i] for i in rows] for key in ("image", "target")}
     return Table.of({**columns, "u v [px]": group.observations.readings[:, rows].T, "w": tests[rows]})
-
-
-POINT = ("cx", "cy")
-Blocks = Mapping[str, Block]
-
-
-def held_in_the_middle(blocks: Blocks, size: tuple[int, int], adjusted: Callable[[Blocks], Blocks]) -> dict[str, Block]:
-    """Return blocks `adjusted` with the principal point held in the middle of an image of a size, which is free again.
-
-    The shift `s r^2` of a thin prism is nearly what a principal point far off, tilted views and decentring do. Where
-    these have taken its place, a small prism of the wrong sign is at a minimum of its own beside them.
-    """
-    lens = blocks[LENS]
-    chosen = np.isin(lens.columns, POINT)
-    middle = np.array([(size[POINT.index(name)] - 1) / 2 for name in lens.columns if name in POINT])
-    values = lens.values.copy()
-    values[:, chosen] = middle
-    held = adjusted({**blocks, LENS: replace(lens, values=values, free=lens.free & ~chosen)})
-    return {name: block.with_values(held[name].values) for name, block in blocks.items()}
