@@ -28,6 +28,8 @@ from metrocli.words import listed
 
 _ENOUGH, _APART = 6, 5.0
 """Fewest readings of an image that a homography can contradict, and how many times as large its residuals are"""
+_AN_IMAGE = 4
+"""Fewest points of an image that may show it mirrored"""
 _LOST = 0.003
 """Median residual, as a share of the longer side of the image, beyond which lens and poses were not found"""
 _FEW_VIEWS, _FEW_TARGETS = 2, 1 / 3
@@ -177,11 +179,21 @@ def not_found(problem: CameraProblem, images: Group, residuals: Array) -> list[s
             "image): lens and poses were not found, or the lens model lacks distortion; "
             f"what helps: {closer}, and `camera: f`"
         ]
-    each = ((problem.sighted.images[i], float(np.median(off[view == i]))) for i in np.unique(view).tolist())
-    return strange or [
-        f"half of the points of image {name} are off by more than {size:.0f} px, those of all by {typical:.2g} px: "
-        "is it mirrored, are its targets named otherwise, or does the lens model lack distortion that only it shows? "
-        "It pulls all other values: correct it, leave it out, or estimate more of the distortion"
-        for name, size in each
-        if size > max(_LOST * most, _APART * typical)
+    if strange:
+        return strange
+    names, count = problem.sighted.images, np.bincount(view)
+    size = {i: float(np.median(off[view == i])) for i in np.flatnonzero(count).tolist()}
+    far = [i for i, median in size.items() if median > max(_LOST * most, _APART * typical)]
+    # a few points show nothing of an image, and one of them that is wrong pulls those of others
+    few = sorted((i for i in far if count[i] < _AN_IMAGE), key=lambda i: -size[i])[:1]
+    return [
+        f"points of image {names[i]} are off by {size[i]:.0f} px, those of all by {typical:.2g} px: they pull all "
+        "other values: correct them, or leave them out"
+        for i in few
+    ] + [
+        f"half of the points of image {names[i]} are off by more than {size[i]:.0f} px, those of all by {typical:.2g} "
+        "px: is it mirrored, are its targets named otherwise, or does the lens model lack distortion that only it "
+        "shows? It pulls all other values: correct it, leave it out, or estimate more of the distortion"
+        for i in far
+        if count[i] >= _AN_IMAGE
     ]
