@@ -7,7 +7,7 @@ u and v are exchanged, fits the board seen from behind.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -80,9 +80,13 @@ def turned_images(problem: CameraProblem, adjusted: AdjustedImages) -> list[str]
 def seen_from_behind(problem: CameraProblem) -> list[str]:
     """Return which images show a flat board from the other side than most: they may be mirrored."""
     named = behind(problem)
+    return [mirrored(named)] if named else []
+
+
+def mirrored(named: Sequence[str]) -> str:
+    """Return that images show a board from behind, in words."""
     noun = "image" if len(named) == 1 else "images"
-    text = f"{noun} {listed(named)}: the board is seen from the other side than in the others; mirrored?"
-    return [text] if named else []
+    return f"{noun} {listed(named)}: the board is seen from the other side than in the others; mirrored?"
 
 
 def other_settings(job: Job[Settings, Files], problem: CameraProblem) -> Iterator[tuple[Mistake, Job[Settings, Files]]]:
@@ -107,13 +111,19 @@ def other_settings(job: Job[Settings, Files], problem: CameraProblem) -> Iterato
 
 def behind(problem: CameraProblem) -> list[str]:
     """Return the images that show a flat board from the other side than most."""
-    frame, planar = plane_frame(problem.sighted.targets.points[np.unique(problem.sighted.target)])
-    if problem.rig != "board" or not planar:
+    if problem.rig != "board":
         return []
-    behind = poses.apply(frame, poses.inverse(problem.blocks[camera.VIEW].values)[:, :3])[:, 2] > 0
-    few = behind if 2 * behind.sum() <= len(behind) else ~behind
+    points = problem.sighted.targets.points[np.unique(problem.sighted.target)]
+    few = on_the_other_side(poses.inverse(problem.blocks[camera.VIEW].values)[:, :3], points)
     few &= problem.blocks[camera.VIEW].free.any(axis=1)  # an image that lost all readings has no pose
     return [name for name, there in zip(problem.sighted.images, few, strict=True) if there]
+
+
+def on_the_other_side(places: Array, points: Array) -> Mask:
+    """Return which places of a camera (n, 3) are on the other side of flat targets (m, 3) than most."""
+    frame, planar = plane_frame(points)
+    there = poses.apply(frame, places)[:, 2] > 0
+    return np.asarray((there if 2 * there.sum() <= len(there) else ~there) & planar)
 
 
 def _rolled(values: Array, rig: str) -> Array:
