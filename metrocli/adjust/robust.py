@@ -28,6 +28,8 @@ _MAD = 1.4826
 # sound job should not pay
 _GROSS = 8.0
 """Residuals beyond this many robust standard deviations call for a robust start"""
+_AS_OTHERS = 2.0
+"""Residuals below so many robust standard deviations are of the size of the others: 3.5 sigma of image points"""
 _TUKEY = 4.685
 """Tuning constant of Tukey's biweight: 95 % efficiency for normal errors"""
 _POWER_80 = 0.8416212335729143
@@ -129,6 +131,11 @@ def gross(group: Group, blocks: Mapping[str, Block]) -> Array:
     """Return the length of each residual in robust standard deviations if it is above 8, else 0, (n,)."""
     share = _share(group, blocks)
     return np.where(share > _GROSS, share, 0.0)
+
+
+def fitting(group: Group, blocks: Mapping[str, Block]) -> Mask:
+    """Return whether each residual is of the size of the others, (n,)."""
+    return _share(group, blocks) < _AS_OTHERS
 
 
 def typical(group: Group, blocks: Mapping[str, Block]) -> float:

@@ -170,6 +170,8 @@ class AdjustedJob:
     """Whether a job of its kind can have correlated errors in its model"""
     not_sought: Mapping[str, str] = field(default_factory=dict)
     """Names of effects that cannot be searched for in these readings, each with the reason"""
+    noticed: tuple[str, ...] = ()
+    """What its kind warns of that no residual shows"""
     budget: Budget = field(default_factory=Budget)
     """CPU time for the search of effects"""
     made_together: tuple[str, ...] = ()

@@ -42,6 +42,7 @@ def as_data(diagnosis: Diagnosis) -> dict[str, Any]:
         "interrupted": diagnosis.interrupted,
         "quick": diagnosis.quick,
         "mistake": None if diagnosis.mistaken is None else _correction(diagnosis.mistaken),
+        "noticed": list(diagnosis.job.noticed),
         "outliers": [_outlier(outlier) for outlier in diagnosis.outliers],
         "effects": [
             _effect(diagnosis.job, effect) if isinstance(effect, Finding) else _scatter(diagnosis.job, effect)

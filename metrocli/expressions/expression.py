@@ -25,6 +25,7 @@ FUNCTIONS: dict[str, int] = dict.fromkeys(
 ) | {"atan2": 2}
 """Number of arguments by name."""
 CONSTANTS = {"pi": math.pi}
+_OF_ANGLES = ("sin", "cos", "tan")
 NUMBER, NAME, NEGATIVE = "number", "name", "negative"
 _OPERATORS = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Pow: "**"}
 _EXACT: dict[str, Callable[..., Any]] = {
@@ -250,6 +251,11 @@ def _called(node: ast.Call, start: int) -> tuple[str, list[ast.expr]]:
     if len(node.args) != FUNCTIONS[name] or node.keywords:
         needs = f"{name} takes {FUNCTIONS[name]} argument{'s' if FUNCTIONS[name] > 1 else ''}"
         raise ExpressionError(f"{needs}, not {len(node.args) + len(node.keywords)}", start, f"write {name}(...)")
+    angle = node.args[0]
+    if name in _OF_ANGLES and isinstance(angle, ast.Constant) and abs(_finite(angle, start)) > 2 * math.pi:
+        number = f"{_finite(angle, start):g}"
+        text = f"{name} takes radians, and {number} is more than a turn"
+        raise ExpressionError(text, start, f"write {name}({number}*pi/180) for degrees")
     return name, node.args
 
 

@@ -26,6 +26,8 @@ from metrocli.table import NUMBER, TEXT, WHOLE, Column, Columns, Table
 
 LONGEST_TEXT = 200
 _WHOLE_LIMIT = 1 << 62
+_CLOCK = re.compile(r"\d:\d\d|\d-\d\d?-\d|\d\.\d\d?\.\d")
+"""Parts of times of day and of dates"""
 _DEGREE = units.find_unit("deg", "angle")
 _FORMULA = ("=", "+", "@")
 """Texts that spreadsheets take for formulas, and run; behind a space, which readers of CSV drop, they do not"""
@@ -202,6 +204,8 @@ def _number(cell: str, column: Column) -> tuple[float | int, str, str | None]:
         reason = f"'{cell}' {odd or 'is not a finite number'}"
     except ValueError:
         reason = f"'{cell}' is not a {'whole ' if column.dimension == WHOLE else ''}number" if cell else "an empty cell"
+    if column.dimension == "time" and _CLOCK.search(cell):
+        return 0, reason, "write seconds from one moment on, such as the first row"
     comma = re.fullmatch(r"([+-]?[0-9]*),([0-9]+)", cell)
     hint = f"write {comma[1]}.{comma[2]}" if comma else None if cell.isascii() else "write 0 to 9, as on a keyboard"
     return 0, reason, f"write {cell.replace('_', '')}" if reason.endswith("underscore") else hint

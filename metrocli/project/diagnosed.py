@@ -104,7 +104,9 @@ def carry_out(
         # what was shown as found stays
         diagnosis = replace(answer, design=diagnosis.design, limited=diagnosis.limited, quick=False)
     if mistaken is not None and not mistaken.mended and diagnosis.findings:
-        mistaken = None  # a wrong list that no correction mends explains less than an effect does
+        # a wrong list that no correction mends explains less than an effect does
+        noticed = (*diagnosis.job.noticed, *map(str, mistaken.mistakes))
+        diagnosis, mistaken = replace(diagnosis, job=replace(diagnosis.job, noticed=noticed)), None
     return replace(diagnosis, mistaken=mistaken)
 
 

@@ -140,6 +140,7 @@ def _sound(file: JobFile, job: Job[Any, Any], progress: Progress) -> Result:
             rejected = result.statistics.get("rejected", 0)
             left_out = rejected if isinstance(rejected, int) else 0
             return _with_other_setting(result, adjustment, partial(task.others, job), sigma0, left_out)
+        placed = result if suspicious(sigma0, 0.0) else _elsewhere(result)
     except MetrocliError as error:
         if task.diagnosed is None:
             raise
@@ -157,11 +158,11 @@ def _sound(file: JobFile, job: Job[Any, Any], progress: Progress) -> Result:
         raise refusal from failure
     if failure is not None:
         raise failure
-    return _with_other_setting(_elsewhere(result), adjustment, partial(task.others, job), float("inf"))
+    return _with_other_setting(placed, adjustment, partial(task.others, job), float("inf"))
 
 
 def _elsewhere(result: Result) -> Result:
-    """Return a result that is doubtful where its places are not those that its files list."""
+    """Return a result, whose readings fit one another, that is doubtful where its places are not those of its lists."""
     if result.list_offset <= 1:
         return result
     doubt = (

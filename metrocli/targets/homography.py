@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from metrocli.arrays import Array
+from metrocli.arrays import Array, Mask
 
 _ON_A_LINE = 1e-6
 """Smallest singular value of a homography, relative to the largest, that is not a rounding error"""
+_AGAIN = 3
+"""Rounds in which the points that fit a view follow it"""
 _DEGREE, _SMOOTH = 3, 10
 """Degree of the distortion of one image, and its coefficients in each image coordinate"""
 
@@ -59,6 +61,20 @@ def seen_by_a_lens(plane: Array, uv: Array, at: Array) -> Array:
         own, other = (_terms((points - middle) / size) for points in (plane, at))
         found = found + other @ np.linalg.lstsq(own, uv - projected(view, plane), rcond=None)[0]
     return np.asarray(found)
+
+
+def fitting_a_view(plane: Array, uv: Array, near: float) -> Mask:
+    """Return which image points (n, 2) lie so near [px] to a view by a lens that most of them fit, (n,)."""
+    import cv2  # which takes longer to load than a job without images
+
+    _, found = cv2.findHomography(plane, uv, cv2.RANSAC, near)
+    fitting = np.zeros(len(uv), dtype=bool) if found is None else found.ravel().astype(bool)
+    for _ in range(_AGAIN):
+        if not determines_homography(plane[fitting]):
+            return np.zeros(len(uv), dtype=bool)
+        off = np.linalg.norm(seen_by_a_lens(plane[fitting], uv[fitting], plane) - uv, axis=1)
+        fitting = off < near
+    return np.asarray(fitting)
 
 
 def _terms(plane: Array) -> Array:

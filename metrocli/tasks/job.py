@@ -76,7 +76,7 @@ class Task(Generic[S, F]):
     result_answers: Mapping[str, Callable[[Result, Sequence[str]], tuple[Estimate, ...]]] = field(default_factory=dict)
     """Function for each question of a result, by name; it receives the values as typed on the command line"""
 
-    with_adjustment: Callable[[Job[S, F]], tuple[Result, Adjustment]] | None = None
+    with_adjustment: Callable[[Job[S, F]], tuple[Result, Adjustment | None]] | None = None
     """As `run`, with what gives the adjustment behind the result; for kinds with other settings"""
     begun: Callable[[Job[S, F]], Model] | None = None
     """Returns the model of a job at its starting values; for kinds with other settings"""

@@ -72,7 +72,8 @@ def propagate(models: Mapping[str, Expression], inputs: Inputs) -> Propagated:
     `u^2 = g'Vg + tr(HVHV)/2 + sum_i (Vg)_i sum_jk f_ijk V_jk`.
     """
     attempts = {name: _attempt(model, inputs) for name, model in models.items()}
-    slopes = np.array([linear.sensitivities for linear in attempts.values()])
+    # where contributions cancel, rounding may leave a variance below 0
+    slopes = np.array([linear.sensitivities * (linear.std > 0) for linear in attempts.values()])
     return Propagated(attempts, slopes @ inputs.covariance @ slopes.T)
 
 

@@ -221,3 +221,11 @@ def test_terms_that_do_not_fit_are_named(text: str, start: int, message: str) ->
 def test_every_unit_of_the_table_is_one_of_the_algebra(value: float, symbol: str) -> None:
     assert converted(converted(value, symbol, symbol), symbol, symbol) == pytest.approx(value, rel=1e-12)
     assert math.isfinite(compound(symbol).factor)
+
+
+def test_degrees_in_a_sine_are_refused() -> None:
+    """The sine of 30 is that of 30 radians: a budget took -0.988 for 0.5 without a word."""
+    for name in ("sin", "cos", "tan"):
+        with pytest.raises(ExpressionError, match="takes radians, and 30 is more than a turn"):
+            parse(f"2*{name}(30)")
+    assert parse("sin(30*pi/180) + sin(0.5) + exp(30)")

@@ -335,8 +335,12 @@ RIGHT = (OF_NETWORKS, "test_nothing_is_proposed_for_readings_that_fit")
 SOUND = (OF_MACHINES, "test_right_settings_are_not_doubted")
 JOINED = "tasks/fit_points/test_joined.py"
 BLUNDERS = "tasks/multilaterate/test_blunders.py"
+STRANGE = "tasks/calibrate_camera/test_strange_images.py"
 POSES, MISREAD = "tasks/align_part/test_exchanged_poses.py", "tasks/fit_part/test_misread.py"
 ELSEWHERE = {
+    "u and v of {} are exchanged": (
+        (STRANGE, "test_an_image_whose_u_and_v_are_exchanged_is_named"),
+        (STRANGE, "test_a_diagnosis_has_images_that_no_residual_shows")),
     "the points of station {} are a mirror image of the others": (
         (JOINED, "test_what_cannot_be_joined_is_refused"), (JOINED, "test_stations_that_share_points")),
     "{} and {} are swapped": ((REFUSED, "test_a_list_with_a_wrong_heading_is_refused"), FITTING),

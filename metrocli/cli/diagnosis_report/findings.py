@@ -35,7 +35,8 @@ _HEAD = ("effect", "size (± u)", "chance", "or instead", "held-out error", "log
 def of_diagnosis(diagnosis: Diagnosis, extended: Extended | None, full: bool = False) -> str:
     """Return the report of a diagnosis, `full` with all candidates; `extended` is the extended job that was written."""
     job, findings = diagnosis.job, diagnosis.findings
-    parts = [[f"verdict: {headline(diagnosis)}", *summary(diagnosis)]]
+    noticed = [f"noticed: {line}" for line in job.noticed]
+    parts = [[f"verdict: {headline(diagnosis)}", *summary(diagnosis), *noticed]]
     if diagnosis.mistaken is not None:
         parts.append(list(_mistake(diagnosis.mistaken)))
     if findings or diagnosis.scatters:

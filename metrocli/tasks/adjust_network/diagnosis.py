@@ -60,6 +60,7 @@ def adjusted_job(solved: AdjustedNetwork) -> AdjustedJob:
         ),
         not_sought={STEERING: NO_MIRROR} | ({} if timed else {MOVED: NO_TIMES}),
         variations=_variations,
+        noticed=network.readings.warnings,
     )
 
 

@@ -18,7 +18,7 @@ from metrocli.result import Result
 from metrocli.table import Table
 from metrocli.tasks.adjust_network.settings import INTERFEROMETER, Files, NetworkInstrument, Settings
 from metrocli.tasks.adjust_network.sightings import PolarSightings, Stations, refuse_pairs, sightings_of, stations_of
-from metrocli.tasks.shared.lists import matched, negative, refuse, rows_of, sigmas
+from metrocli.tasks.shared.lists import matched, negative, refuse, rows_of, sigmas, sticking
 from metrocli.uncertainty.predicted import POINTS_COVARIANCE, points_of
 from metrocli.words import listed
 
@@ -157,8 +157,11 @@ def _with_warnings(readings: NetworkReadings) -> NetworkReadings:
         [] if readings.lengths is None else readings.lengths.first.tolist()
     )
     idle = [name for i, name in enumerate(readings.stations.names) if i not in used]
-    lines = (f"stations without a reading are left out: {listed(idle)}",) if idle else ()
-    return replace(readings, warnings=lines)
+    lines = [f"stations without a reading are left out: {listed(idle)}"] if idle else []
+    seen = readings.sightings
+    for name in ("az", "el", "d"):
+        lines += sticking(seen.table, name, seen.station, readings.stations.names, seen.point)
+    return replace(readings, warnings=tuple(lines))
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 `readings` -> `build` (blocks and groups, with `starts`) -> `problem` -> adjustment of shared.images -> `report`,
 with `lens_conventions`, `projection_error` and `length_errors`. `advice` and `doubts` have what the readings
-cannot determine or contradict; `compare` fits each lens model.
+cannot determine or contradict, `wrong_images` what contradicts the others; `compare` fits each lens model.
 """
 
 from metrocli.tasks.kind import Kind, Question

@@ -8,10 +8,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from metrocli.adjust.model.blocks import Block
-from metrocli.adjust.model.groups import Group
 from metrocli.adjust.outcome import Outcome
 from metrocli.adjust.solution import Solution
-from metrocli.arrays import Array, Index, Mask
 from metrocli.effects.estimates import absorbed_in_words
 from metrocli.geometry import poses
 from metrocli.instruments import camera
@@ -19,20 +17,14 @@ from metrocli.instruments.camera_start import plane_frame
 from metrocli.instruments.lenses.conventions import projection_range
 from metrocli.instruments.lenses.distortion import RADIAL, RATIONAL
 from metrocli.table import Table
-from metrocli.targets.homography import determines_homography, seen_by_a_lens
-from metrocli.targets.lattice import GATE
 from metrocli.tasks.calibrate_camera.problem import CameraProblem
+from metrocli.tasks.calibrate_camera.wrong_images.strange import strange_images
 from metrocli.tasks.shared.images.adjustment import AdjustedImages
 from metrocli.tasks.shared.images.camera_parameters import HIGH_CORRELATION
-from metrocli.words import listed
 
 _PARALLEL = np.radians(3.0)
 _TURNED = np.radians(45.0)
 """Turn about the viewing axis between any two images from which an unknown board and the lens are distinguished"""
-_ENOUGH, _APART = 6, 5.0
-"""Fewest readings of an image that a homography can contradict, and how many times as large its residuals are"""
-_LOST = 0.003
-"""Median residual, as a share of the longer side of the image, beyond which lens and poses were not found"""
 _SHOWN = 4
 """Most targets whose rejected readings are counted in a message"""
 
@@ -168,87 +160,6 @@ def turned_too_little(problem: CameraProblem) -> list[str]:
         f"the camera is turned by at most {np.degrees(turn):.0f} degrees about its viewing axis between images. "
         "Errors of lens and board look alike then, and cx and cy can be off by more than their uncertainty. "
         "Turn it by 90 degrees for some images, or use `targets: listed`"
-    ]
-
-
-def seen_from_behind(problem: CameraProblem) -> list[str]:
-    """Return which images show a flat board from the other side than most: they may be mirrored.
-
-    A mirrored image of a board fits the board seen from behind, so no residual shows it.
-    """
-    frame, planar = plane_frame(problem.sighted.targets.points[np.unique(problem.sighted.target)])
-    if problem.rig != "board" or not planar:
-        return []
-    behind = poses.apply(frame, poses.inverse(problem.blocks[camera.VIEW].values)[:, :3])[:, 2] > 0
-    few = behind if 2 * behind.sum() <= len(behind) else ~behind
-    few &= problem.blocks[camera.VIEW].free.any(axis=1)  # an image that lost all readings has no pose
-    named = [name for name, there in zip(problem.sighted.images, few, strict=True) if there]
-    noun = "image" if len(named) == 1 else "images"
-    text = f"{noun} {listed(named)}: the board is seen from the other side than in the others; mirrored?"
-    return [text] if named else []
-
-
-def strange_images(problem: CameraProblem, images: Group, residuals: Array | None = None) -> list[str]:
-    """Return which images fit no view of a flat board, such as those whose targets are named in another order.
-
-    But for smooth distortion, a homography takes the board to its image (docs/targets.md). Where this holds for half
-    of the images or fewer, the list is wrong rather than they, and none is returned. With residuals (2, n) only images
-    whose root mean square is far above that of the others are examined.
-    """
-    rows = images.observations
-    index, view = rows.index[camera.TARGET], rows.index[camera.VIEW]
-    frame, planar = plane_frame(problem.sighted.targets.points[np.unique(index)])
-    if problem.rig != "board" or not planar:
-        return []
-    plane, warnings = poses.apply(frame, problem.sighted.targets.points)[index, :2], []
-    for i in np.flatnonzero(_examined(view, residuals)):
-        mine, uv = plane[view == i], rows.readings[:, view == i].T
-        off = _off_any_view(mine, uv) if determines_homography(mine) else 0.0
-        if off > GATE * np.sqrt(np.ptp(uv, axis=0).prod() / len(uv)):
-            name = f"image {problem.sighted.images[int(i)]}"
-            warnings.append(f"{name} fits no view of a flat board, by {off:.0f} px: are its targets in another order?")
-    return warnings if 2 * len(warnings) < len(np.unique(view)) else []
-
-
-def _off_any_view(plane: Array, uv: Array) -> float:
-    """Return the median distance [px] of image points (n, 2) from a view of plane points by a lens."""
-    return float(np.median(np.linalg.norm(seen_by_a_lens(plane, uv, plane) - uv, axis=1)))
-
-
-def _examined(view: Index, residuals: Array | None) -> Mask:
-    """Return which images have enough readings to be examined, and the need of it, (images,)."""
-    count = np.bincount(view)
-    if residuals is None:
-        return np.asarray(count >= _ENOUGH)
-    squares = np.bincount(view, (residuals**2).sum(axis=0)) / np.maximum(count, 1)
-    return np.asarray((count >= _ENOUGH) & (squares > _APART**2 * np.median(squares[count > 0])))
-
-
-def not_found(problem: CameraProblem, images: Group, residuals: Array) -> list[str]:
-    """Return why a camera must not be used whose residuals (2, n) are far larger than image points are wrong.
-
-    With `noise: estimated` they only make the noise larger: nothing else would contradict them. One image that is far
-    off, such as a mirrored one, pulls all others.
-    """
-    off, most = np.hypot(*residuals), max(problem.image_size)
-    typical, view = float(np.median(off)), images.observations.index[camera.VIEW]
-    astray = typical > _LOST * most
-    strange = strange_images(problem, images, None if astray else residuals)
-    if astray and not strange:
-        network = problem.rig == "network"
-        closer = "closer places of the targets, or their right names" if network else "the right names of targets"
-        return [
-            f"half of the image points are off by more than {typical:.3g} px ({100 * typical / most:.2g} % of the "
-            "image): lens and poses were not found, or the lens model lacks distortion; "
-            f"what helps: {closer}, and `camera: f`"
-        ]
-    each = ((problem.sighted.images[i], float(np.median(off[view == i]))) for i in np.unique(view).tolist())
-    return strange or [
-        f"half of the points of image {name} are off by more than {size:.0f} px, those of all by {typical:.2g} px: "
-        "is it mirrored, are its targets named otherwise, or does the lens model lack distortion that only it shows? "
-        "It pulls all other values: correct it, leave it out, or estimate more of the distortion"
-        for name, size in each
-        if size > max(_LOST * most, _APART * typical)
     ]
 
 

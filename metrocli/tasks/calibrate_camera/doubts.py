@@ -16,13 +16,14 @@ from metrocli.arrays import Array, Index, Mask
 from metrocli.frozen import dataclass
 from metrocli.instruments import camera
 from metrocli.instruments.camera import TARGET
-from metrocli.tasks.calibrate_camera.advice import not_found
 from metrocli.tasks.calibrate_camera.other_lenses import fisheye_instead
 from metrocli.tasks.calibrate_camera.problem import CameraProblem
 from metrocli.tasks.calibrate_camera.settings import CameraSettings
-from metrocli.tasks.calibrate_camera.turned_images import turned_images
+from metrocli.tasks.calibrate_camera.wrong_images.strange import not_found
+from metrocli.tasks.calibrate_camera.wrong_images.turned import turned_images
 from metrocli.tasks.shared.images.adjustment import AdjustedImages
 from metrocli.tasks.shared.images.tables import FEW, root_mean_square, scatter
+from metrocli.words import listed
 
 _AXES = ("cx", "cy")
 _FAR = 0.1
@@ -112,6 +113,28 @@ _MUCH = 0.5
 """Share of the squared residuals below which a held value is doubted (decision 134)"""
 _CENTRE = ("cx", "cy")
 """Tested against the image size"""
+
+
+def misplaced(problem: CameraProblem, adjusted: AdjustedImages) -> list[str]:
+    """Return which listed targets most of their images contradict, if these make up most of the squared residuals."""
+    group, names = adjusted.group, problem.sighted.targets.names
+    if problem.blocks[TARGET].free.any() or adjusted.residuals is None:
+        return []
+    index = group.observations.index[TARGET]
+    seen, off = (np.bincount(rows, minlength=len(names)) for rows in (index, index[adjusted.suspects.rows]))
+    wrong = (2 * off > seen) & (off > _FEW_VIEWS)
+    squares = (group.observations.whitened(adjusted.residuals.values) ** 2).sum(axis=0)
+    if squares[wrong[index]].sum() <= _MUCH * squares.sum():
+        return []
+    each = [f"{names[i]} in {off[i]} of {seen[i]} images" for i in np.flatnonzero(wrong).tolist()]
+    return [
+        f"readings of {listed(each)} contradict the place that is listed, and make up most of the squared residuals: "
+        "correct the list"
+    ]
+
+
+_FEW_VIEWS = 2
+"""Two images that contradict the place of a target are too few"""
 
 
 def held_doubts(problem: CameraProblem, settings: CameraSettings, adjusted: AdjustedImages) -> list[str]:
@@ -210,4 +233,5 @@ def why_not(
     near = too_near(problem, adjusted, settings.pixel_size)
     held = held_doubts(problem, settings, adjusted)
     turned = [] if lost or smooth else turned_images(problem, adjusted)
-    return [*turned, *lost, *smooth, *(centre.doubts() if centre is not None else []), *held, *near, *folded]
+    astray = [] if lost else misplaced(problem, adjusted)
+    return [*turned, *lost, *astray, *smooth, *(centre.doubts() if centre is not None else []), *held, *near, *folded]

@@ -15,7 +15,7 @@ from metrocli.instruments import camera
 from metrocli.result import Result, ShownTable
 from metrocli.table import Table
 from metrocli.tasks.calibrate_camera import KIND
-from metrocli.tasks.calibrate_camera.advice import correlation_warnings, folds, seen_from_behind, turned_too_little
+from metrocli.tasks.calibrate_camera.advice import correlation_warnings, folds, turned_too_little
 from metrocli.tasks.calibrate_camera.diagnosis import uncontrolled
 from metrocli.tasks.calibrate_camera.doubts import PrincipalPoint, principal_point, why_not
 from metrocli.tasks.calibrate_camera.length_errors import LengthErrors, length_errors
@@ -32,6 +32,7 @@ from metrocli.tasks.calibrate_camera.projection_error import (
 from metrocli.tasks.calibrate_camera.readings import longer_than_listed, units_doubted
 from metrocli.tasks.calibrate_camera.settings import CameraSettings, Settings
 from metrocli.tasks.calibrate_camera.shape.found import link_of, shape_arrays, shape_notes, shape_rms, shape_table
+from metrocli.tasks.calibrate_camera.wrong_images.turned import seen_from_behind
 from metrocli.tasks.shared.images.adjustment import AdjustedImages
 from metrocli.tasks.shared.images.camera_parameters import Parameters, parameters, pose_columns, unit_of
 from metrocli.tasks.shared.images.tables import (

@@ -22,7 +22,8 @@ from metrocli.instruments import camera
 from metrocli.instruments.camera import VIEW
 from metrocli.instruments.lenses.distortion import PRISM, TILT
 from metrocli.tasks.calibrate_camera.problem import CameraProblem
-from metrocli.tasks.shared.images.adjustment import IMAGES, POINT, held_in_the_middle
+from metrocli.tasks.shared.images.adjustment import IMAGES
+from metrocli.tasks.shared.images.middle import POINT, held_in_the_middle
 
 _AGAIN = 3
 """Most starts from poses found anew, if targets or images strayed"""

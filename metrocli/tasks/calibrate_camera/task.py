@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import partial
 
 from metrocli.adjust.clusters.robust import FROM_RESIDUALS, STRUCTURED, must_suffice
 from metrocli.adjust.outcome import Outcome
@@ -14,7 +15,7 @@ from metrocli.imageset import ImageSet
 from metrocli.result import Result
 from metrocli.table import Table
 from metrocli.tasks.calibrate_camera import other_lenses
-from metrocli.tasks.calibrate_camera.advice import explained, ran_out, strange_images
+from metrocli.tasks.calibrate_camera.advice import explained, ran_out
 from metrocli.tasks.calibrate_camera.build import build, robustly_started
 from metrocli.tasks.calibrate_camera.compare import compare_models
 from metrocli.tasks.calibrate_camera.diagnosis import adjusted_job, all_covariates
@@ -31,6 +32,8 @@ from metrocli.tasks.calibrate_camera.shape.effect import beside_base
 from metrocli.tasks.calibrate_camera.shape.spline import with_shape
 from metrocli.tasks.calibrate_camera.simulation import simulate
 from metrocli.tasks.calibrate_camera.starts import about_the_middle
+from metrocli.tasks.calibrate_camera.wrong_images import turned
+from metrocli.tasks.calibrate_camera.wrong_images.strange import strange_images
 from metrocli.tasks.job import Job, Task
 from metrocli.tasks.shared.images.adjustment import (
     AdjustedImages,
@@ -53,13 +56,19 @@ def run(job: Job[Settings, Files]) -> Result:
     Raises InputError if the files do not fit together, UndeterminedError if the readings do not determine the
     parameters, and NotConvergedError if the adjustment does not converge.
     """
+    return with_adjustment(job)[0]
+
+
+def with_adjustment(job: Job[Settings, Files]) -> tuple[Result, Callable[[], AdjustedJob] | None]:
+    """Return the result, and where images show the board from behind what adjusts the job for a comparison."""
     if job.settings.cameras is not None:
-        return multi_camera.run(job, job.settings.cameras)
+        return multi_camera.run(job, job.settings.cameras), None
     settings, problem = prepared(job)
     adjusted = solved(settings, problem)
     if settings.noise == STRUCTURED:
         adjusted = adjusted.with_structure(delivered(problem.rig, problem.effects))
-    return report(problem, settings, adjusted, job.files.test_lengths)
+    result = report(problem, settings, adjusted, job.files.test_lengths)
+    return result, partial(diagnosed, job) if turned.behind(problem) else None
 
 
 def diagnosed(job: Job[Settings, Files]) -> AdjustedJob:
@@ -68,17 +77,19 @@ def diagnosed(job: Job[Settings, Files]) -> AdjustedJob:
         return multi_camera.diagnosed(job, job.settings.cameras)
     settings, problem = prepared(job)
     whole = adjusted_job(problem, solved(replace(settings, outliers="report"), problem))
-    return replace(whole, not_sought=not_sought(settings.shutter, whole.model))
+    noticed = tuple(turned.seen_from_behind(problem))
+    return replace(whole, not_sought=not_sought(settings.shutter, whole.model), noticed=noticed)
 
 
 def other_settings(job: Job[Settings, Files], fits: bool) -> Iterator[tuple[Mistake, Job[Settings, Files]]]:
-    """Yield several cameras in place of one whose images pair, and the model fisheye in place of a pinhole.
+    """Yield several cameras in place of one whose images pair, mirrored images, and a fisheye in place of a pinhole.
 
     The model is compared with the readings where no declared noise fits.
     """
     settings = job.settings
     if settings.cameras is None:
         yield from as_several(job)
+        yield from turned.other_settings(job, prepared(job)[1])
     each: list[CameraSettings] = [settings.camera] if settings.cameras is None else [*settings.cameras.values()]
     known = fits and isinstance(settings.noise, float)
     if known or not any(camera.convention == "forward" and camera.model != SPLINE for camera in each):
@@ -143,7 +154,12 @@ def solved(settings: Settings, problem: CameraProblem) -> AdjustedImages:
         must_suffice(len(problem.sighted.images), "images")
     remove, estimate_noise = settings.outliers == "remove", settings.noise in FROM_RESIDUALS
     options = Options(remove, estimate_noise, problem.image_size, robustly_started(problem, settings.camera))
-    adjusted = adjust_images(problem.blocks, problem.images, problem.others, problem.datum, options)
+    try:
+        adjusted = adjust_images(problem.blocks, problem.images, problem.others, problem.datum, options)
+    except InputError as error:
+        if strange := strange_images(problem, problem.images):
+            raise InputError(f"the readings fit no pose: {'; '.join(strange)}") from error
+        raise
     solution = adjusted.solution
     if solution.undetermined or solution.outcome is Outcome.TOO_FEW or ran_out(problem, solution):
         raise UndeterminedError(explained(problem, solution, adjusted.rejected), solution.misfit)
@@ -178,5 +194,6 @@ TASK = Task(
     covariates=all_covariates,
     answers={"compare": compare},
     other_settings=other_settings,
+    with_adjustment=with_adjustment,
     unplaced=("targets",),
 )

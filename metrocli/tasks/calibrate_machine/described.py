@@ -161,8 +161,12 @@ def _outside(axis: Axis, position: float, table: Table) -> str:
     as_degrees = in_rad and axis.knots[0] <= np.radians(position) <= axis.knots[-1]
     if as_degrees:
         return f"is it in degrees? then write `{letter}_deg`"
-    one_turn = abs(float(np.ptp(axis.knots)) - 2 * np.pi) < _OUTSIDE and not axis.periodic
-    return f"give {letter} a wider range" + ", or `periodic: true` if it takes any turn" * one_turn
+    wider = f"give {letter} a wider range"
+    if abs(float(np.ptp(axis.knots)) - 2 * np.pi) < _OUTSIDE and not axis.periodic:
+        return f"{wider}, or `periodic: true` if it takes any turn"
+    # a control may count the same place from 0 to 360 degrees
+    turned = [angle for angle in (position - 2 * np.pi, position + 2 * np.pi) if _inside(axis, np.array([angle]))]
+    return f"write {placed(axis, turned[0])}, the same place, or {wider}" if turned else wider
 
 
 def raise_if(faults: Iterator[Fault]) -> None:

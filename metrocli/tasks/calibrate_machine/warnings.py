@@ -8,6 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 
 from metrocli import units
+from metrocli.diagnosis.adjusted_job import ABSURD
 from metrocli.instruments.axes.rotary import RotaryAxis
 from metrocli.instruments.machine import TOOL, Machine, errors_of
 from metrocli.instruments.tracer import TRACER
@@ -120,6 +121,9 @@ def misplaced(solved: AdjustedMachine) -> tuple[list[str], list[str]]:
                 f"{axis.letter} is turned by {np.degrees(turned):.0f} deg only: its location and the once-a-turn part "
                 "of its tables are nearly the same; turn it farther"
             )
+        # readings that contradict one another put an axis anywhere
+        if solved.solution.sigma0 > ABSURD:
+            continue
         across = [i for i in range(3) if i != axis.number]
         for i, off in zip(across, block.values[0, :2].tolist(), strict=True):
             where, size = f"{'xyz'[i]} of the place of {axis.letter}", units.sized(abs(off), "length")

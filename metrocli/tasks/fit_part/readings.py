@@ -8,9 +8,11 @@ from fnmatch import fnmatchcase
 
 import numpy as np
 
-from metrocli.arrays import Array, Index, Mask
+from metrocli import units
+from metrocli.arrays import Array, Index, Mask, extents
 from metrocli.errors import Fault, InputError, all_faults
 from metrocli.frozen import dataclass
+from metrocli.geometry import poses
 from metrocli.result import Result
 from metrocli.table import Table
 from metrocli.tasks.fit_part.settings import Settings
@@ -21,6 +23,9 @@ from metrocli.words import listed, suggestion
 
 TARGET_WORD = "target"
 """Word in the column `surface` that marks a coded target"""
+
+_OFF_PART, _FEW = 0.1, 0.25
+"""Distance from the box of the points as a share of its extent, and share of targets, up to which such are wrong"""
 
 
 @dataclass(frozen=True)
@@ -107,6 +112,22 @@ def read(settings: Settings, points: Table | Result, names: tuple[str, ...], of_
         )
     growth = _growth(settings, points)
     return PartReadings(measured.of(~target & ~left_out), surface, measured.of(target), growth, tuple(warnings))
+
+
+def far_targets(readings: PartReadings, to_part: Array) -> list[str]:
+    """Return which targets are not on the part: outside the box of its points, where most are not."""
+    targets, points = readings.targets, poses.apply(to_part, readings.surface_points.points)
+    if not targets.names:
+        return []
+    at = poses.apply(to_part, targets.points)
+    beyond = np.maximum(np.maximum(points.min(axis=0) - at, at - points.max(axis=0)), 0.0)
+    away = np.linalg.norm(beyond, axis=1)
+    far = away > _OFF_PART * extents(points).max()
+    # many that are far off stand on a fixture
+    if not far.any() or far.sum() > max(_FEW * len(away), 1):
+        return []
+    each = [f"{targets.names[i]} by {units.sized(away[i], 'length')}" for i in np.flatnonzero(far).tolist()]
+    return [f"targets lie outside the part: {listed(each, 5)}; correct their coordinates, or leave them out"]
 
 
 def _growth(settings: Settings, points: Table | Result) -> dict[str, float]:

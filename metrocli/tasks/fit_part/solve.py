@@ -30,7 +30,7 @@ from metrocli.tasks.fit_part.ideal import ideal, must_be_of_one_size
 from metrocli.tasks.fit_part.levels import Levels, robust_levels
 from metrocli.tasks.fit_part.misread import misread
 from metrocli.tasks.fit_part.nominals import OfMesh, OfSurfaces
-from metrocli.tasks.fit_part.readings import PartReadings, read
+from metrocli.tasks.fit_part.readings import PartReadings, far_targets, read
 from metrocli.tasks.fit_part.settings import NominalFile, PartStart, Settings
 from metrocli.tasks.fit_part.start import searched_pose, unturned
 from metrocli.tasks.fit_part.stock import Stock
@@ -138,7 +138,7 @@ def solve(settings: Settings, prepared: Prepared) -> FittedPart:
         largest=largest,
         sensitivity=sensitivity_with_exchanges(fitted, aim, prepared.start, places.of(used).places),
         warnings=(*prepared.readings.warnings, *open_motions, *wrong_side),
-        doubts=doubts,
+        doubts=(*doubts, *far_targets(prepared.readings, fitted.to_part)),
     )
 
 

@@ -142,11 +142,11 @@ def _located(readings: AlignedPoses, noise: LaunchUnitNoise, how: How) -> Locate
     if not solution.outcome.good or solution.sigma0 > _ABSURD:
         fewer = without_worst_distances(problem, _ABSURD)
         fits = fewer is not None and not fewer[0].sigma0 > _ABSURD
+        if fewer is not None and all(group.name != lu.DISTANCE for group in fewer[0].groups):
+            raise NotConvergedError(_NO_DISTANCE, solution.misfit)
         if fewer is not None and fits and not how.explain:
             # a diagnosis has all readings: where the rest fits, the gross ones are far off, and nothing else
             solution = tested = covariance_at(fewer[0].blocks.values(), problem.all_groups)
-        elif fewer is not None and all(group.name != lu.DISTANCE for group in fewer[0].groups):
-            raise NotConvergedError(_NO_DISTANCE, solution.misfit)
         elif not solution.outcome.good and not (how.remove and fewer is not None):
             raise _contradiction(solution, fewer if fits else None)
         elif fewer is not None and (fits or not solution.outcome.good):

@@ -66,6 +66,7 @@ def adjusted_job(solved: AdjustedTracers) -> AdjustedJob:
         left_out=len(solved.rejected),
         sharing=count(clusters_of(solved)),
         offers=offers,
+        noticed=network.warnings,
     )
 
 

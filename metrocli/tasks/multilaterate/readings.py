@@ -21,7 +21,7 @@ from metrocli.table import Table
 from metrocli.tasks.multilaterate.settings import Files, Settings
 from metrocli.tasks.shared.environment import Air, air_of, unused
 from metrocli.tasks.shared.lengths import PathNoise, stops_of
-from metrocli.tasks.shared.lists import matched, refuse, sigmas
+from metrocli.tasks.shared.lists import matched, refuse, sigmas, sticking
 from metrocli.tasks.shared.tracers import EQUAL, LengthsToTracers, Tracers, few_of_each, observed, tracers_of
 from metrocli.words import listed
 
@@ -94,7 +94,8 @@ def read(settings: Settings, files: Files) -> LengthReadings:
     rows = few_of_each(read_by)
     seen = LengthsToTracers(read_by, rows, nominal[point[rows]], length[rows], extent, absolute, lengths.file)
     readings = LengthReadings(names, nominal, sigma, read_by, observations, stops, air, absolute, seen)
-    return replace(readings, warnings=(*_unused(readings), *unused(settings.environment, lengths)))
+    stuck = sticking(lengths, "length", read_by.of, read_by.names, point)
+    return replace(readings, warnings=(*_unused(readings), *stuck, *unused(settings.environment, lengths)))
 
 
 def _stops(point: Index, sigma: Array, time: Array | None) -> tuple[Index, Array]:

@@ -271,6 +271,9 @@ def _elsewhere(solved: AdjustedTracers) -> Iterator[str]:
         axes = "are axes and signs of both lists the same? If those of the points are wrong, so is the result"
         # axes and signs would move nearly all tracers
         why = axes if 2 * far.size > len(gap) else "the others are near theirs, so correct these places"
+        crossed = np.linalg.norm(tracers.values[far, :3] - network.listed_at[far[::-1]], axis=1)
+        if far.size == 2 and (crossed < _ELSEWHERE * away[far]).all():
+            why = "each stands at the listed place of the other: give each its own name in one of the files"
         yield f"tracers are far from their listed places: {places}; {why}"
 
 

@@ -16,6 +16,8 @@ from metrocli.table import MOST_FAULTS, Table, columns
 from metrocli.words import did_you_mean
 
 Texts = npt.NDArray[np.str_]
+_STICKS = 5
+"""So many different points in a row do not have the same reading by chance"""
 SIGMAS = columns("sigma?* sigma_x?* sigma_y?* sigma_z?* [length]")
 """Columns of standard deviations: one for all three coordinates, or one for each"""
 
@@ -130,3 +132,21 @@ def distinguished(keys: Mapping[str, tuple[str, ...]], pair: Index, time: Array 
 def name_of(keys: Mapping[str, tuple[str, ...]], key: str, row: int) -> str:
     """Return a key of a reading, with its time where the keys have that: `T2 (2000 s)`."""
     return f"{keys[key][row]} ({keys[TIME][row]})" if TIME in keys else keys[key][row]
+
+
+def sticking(table: Table, name: str, source: Index, sources: Sequence[str], point: Index) -> Iterator[str]:
+    """Yield where readings of a source (n,) stay the same at several points in a row, as of a sensor that sticks."""
+    if name not in table:
+        return
+    order = np.argsort(source, kind="stable")
+    values, of, at = table.numbers(name)[order], source[order], point[order]
+    begins = np.flatnonzero(np.append(True, (values[1:] != values[:-1]) | (of[1:] != of[:-1])))
+    ends = np.append(begins[1:], len(values))
+    for begin, end in zip(begins.tolist(), ends.tolist(), strict=True):
+        if end - begin < _STICKS or len(np.unique(at[begin:end])) < _STICKS:
+            continue
+        line = f" from line {table.lines[order[begin]]} on" if table.lines else ""
+        yield (
+            f"{table.file}: {table.headings.get(name, name)} of {sources[of[begin]]} stays the same in {end - begin} "
+            f"rows in a row{line}, at different points, as of a sensor that sticks: leave these rows out"
+        )

@@ -29,6 +29,8 @@ _REMOTE = 500.0
 """A tracer farther away than this many times the volume is rejected: from there all lengths change alike"""
 _WORSE = 10.0
 """Lengths of one known tracer do not belong to the points if they fit so many times worse than those of the others"""
+_FEWEST_ORDERED, _FAR_BETTER = 8, 5.0
+"""Fewest lengths of a tracer that may be in another order, and how many times better they fit then"""
 _SPARE = 3
 """Redundant lengths that a tracer needs before its misfit is meaningful"""
 EQUAL = "all lengths are equal: is this the right column?"
@@ -235,12 +237,28 @@ def _fits(seen: LengthsToTracers, points: Array, lengths: Array) -> bool:
     return _misfit(points, lengths, places) < _MISFIT * spread / 10
 
 
+def in_another_order(seen: LengthsToTracers) -> Iterator[tuple[str, str]]:
+    """Yield tracers whose lengths fit the list far better in another order of their rows, with that order in words."""
+    for i, name in enumerate(seen.tracers.names):
+        points, lengths = _of_tracer(seen, i)
+        if len(points) >= _FEWEST_ORDERED:
+            orders = [("", lengths), *_other_orders(lengths)]
+            fits = [_misfit(points, other, start(points, other, seen.absolute)) for _, other in orders]
+            best = int(np.argmin(fits))
+            if fits[best] * _FAR_BETTER < fits[0]:
+                yield name, orders[best][0]
+
+
 def _read_otherwise(lengths: Array) -> Iterator[tuple[str, Array]]:
     """Yield what may be wrong with the lengths of one tracer, and the lengths without it."""
     for factor, likely in _factors():
         unit = f"they fit if they are multiplied by {factor:g}, as {likely} are: check the units of both files"
         sign = "they fit with the other sign: lengths grow with the distance"
         yield sign if factor < 0 else unit, factor * lengths
+    yield from _other_orders(lengths)
+
+
+def _other_orders(lengths: Array) -> Iterator[tuple[str, Array]]:
     yield "they fit in the reverse order of its rows", lengths[::-1]
     for rows, way in ((1, "down"), (-1, "up")):
         yield f"they fit if they are moved {way} by one of its rows", np.roll(lengths, rows)

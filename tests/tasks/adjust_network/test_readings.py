@@ -243,3 +243,18 @@ def test_a_cause_that_would_show_only_beyond_its_plausible_size_is_listed_with_t
     (untested,) = (line for line in lines if "not-tested" in line)
     assert "B1" in untested and untested.endswith("the measurement sees only sizes beyond the plausible")
     assert any("B2" in line for line in lines if line != untested)
+
+
+@pytest.mark.parametrize("component", range(3))
+def test_a_sensor_that_sticks_is_named(component: int, tmp_path: Path, metrocli: Metrocli) -> None:
+    """The places of the list were blamed, and the diagnosis named effects of the instruments."""
+    net = network(np.random.default_rng(38), 3, 15)
+    assert "sticks" not in metrocli("adjust-network", net.write(tmp_path)).err
+    seen = net.seen.copy()
+    stuck = np.flatnonzero(net.station == 1)[4:10]
+    seen[stuck, component] = seen[stuck[0], component]
+    job = replace(net, seen=seen).write(tmp_path)
+    ran = metrocli("adjust-network", job)
+    heading = ("az_rad", "el_rad", "d_mm")[component]
+    text = f"{heading} of S2 stays the same in 6 rows in a row from line {stuck[0] + 2} on, at different points"
+    assert ran.code == 6 and text in ran.err and "as far from those that its files list" not in ran.out, ran.out

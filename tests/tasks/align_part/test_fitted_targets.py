@@ -176,3 +176,18 @@ def test_the_sample_finds_its_part_and_a_target_that_moved(tmp_path: Path, metro
     assert found.code == 0, found.err
     named = [(one["name"], one["where"]) for one in json.loads(found.out)["effects"]]
     assert named == [("moved-target", {"target": "T23"})]
+
+
+def test_a_foreign_image_takes_few_readings_of_others_with_it(tmp_path: Path, metrocli: Metrocli) -> None:
+    """Eighteen readings of other images were left out, which its image points had spoilt before it left."""
+    home = tmp_path / "p"
+    shutil.copytree(SAMPLES / "raw-part", home)
+    assert metrocli("run", home).code == 0
+    seen = home / "machine" / "observations.csv"
+    rows = [line.split(",") for line in seen.read_text().splitlines()]
+    off = [[*row[:2], f"{float(row[2]) + 37}", f"{float(row[3]) - 25}"] if row[0] == "I09.png" else row for row in rows]
+    seen.write_text("\n".join(map(",".join, off)) + "\n")
+    ran = metrocli("align-part", home / "jobs" / "align.yaml", "--set", "outliers=remove")
+    assert ran.code == 6 and "8 of 8 readings of image I09.png are left out" in ran.out
+    image = hdf5.read(home / "results" / "align.h5")[0].tables["rejected"].texts("image")
+    assert image.count("I09.png") == 8 and len(image) <= 10

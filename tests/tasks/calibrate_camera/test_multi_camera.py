@@ -150,6 +150,17 @@ def test_images_of_wrong_pairs_are_named(moved: dict[int, int], told: str, tmp_p
     assert ran.code == 3 and told in ran.err
 
 
+def test_a_mirrored_image_of_a_pair_is_named(tmp_path: Path, metrocli: Metrocli) -> None:
+    """It was said to be of another pair, and to be renamed."""
+    images = seen(6)
+    right = images["right3.png"]
+    ran = metrocli(
+        "calibrate-camera",
+        job(tmp_path, images | {"right3.png": np.stack([SIZE[0] - 1 - right[:, 0], right[:, 1]], axis=1)}),
+    )
+    assert ran.code == 3 and "(image right3.png: the board is seen from the other side" in ran.err, ran.err
+
+
 def test_cameras_without_a_common_image_are_refused(tmp_path: Path, metrocli: Metrocli) -> None:
     images = {name: uv for name, uv in seen(10).items() if (int(name[-5]) < 5) == name.startswith("left")}
     ran = metrocli("calibrate-camera", job(tmp_path, images))

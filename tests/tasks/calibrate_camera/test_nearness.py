@@ -46,3 +46,15 @@ def test_a_wrong_lens_is_no_wrong_unit(tmp_path: Path, metrocli: Metrocli) -> No
     ran = metrocli("calibrate-camera", tmp_path / "part/jobs/camera.yaml", "--set", "camera.aspect=0.001")
     assert ran.code == 6, (ran.out, ran.err)
     assert "the model does not fit the readings" in ran.out + ran.err
+
+
+def test_one_point_of_an_image_shows_no_mirror(tmp_path: Path, metrocli: Metrocli) -> None:
+    """Images of one dot each were asked whether they are mirrored: four of them for one wrong reading."""
+    job, seen = small_jobs.cmm(tmp_path), tmp_path / "observations.csv"
+    header, row, *rows = seen.read_text().splitlines()
+    column = header.split(",").index("u_px")
+    cells = row.split(",")
+    cells[column] = str(float(cells[column]) + 300.0)
+    seen.write_text("\n".join([header, ",".join(cells), *rows]) + "\n")
+    ran = metrocli("calibrate-camera", job)
+    assert ran.code == 6 and "mirrored" not in ran.out and ran.out.count("they pull all other values") == 1, ran.out

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 
 from benchmarks.halves import board_job, selected, simulated
 from benchmarks.references import DATA, network_job
-from metrocli.errors import NotConvergedError, UndeterminedError
+from metrocli.diagnosis.other_settings import with_other_setting
+from metrocli.errors import InputError, NotConvergedError, UndeterminedError
 from metrocli.geometry.rotations import rotation_from_vector
 from metrocli.result import Result
 from metrocli.table import Table
@@ -39,7 +41,7 @@ def words(job: Job[Settings, Files]) -> str:
     """Return the message of a failed calibration, or the doubts of its result."""
     try:
         result: Result = calibrate_camera.run(job)
-    except (UndeterminedError, NotConvergedError) as error:
+    except (UndeterminedError, NotConvergedError, InputError) as error:
         return str(error)
     return "\n".join(result.doubts)
 
@@ -81,6 +83,69 @@ def test_a_mirrored_image_of_a_board_is_named() -> None:
     text = "image i05: the board is seen from the other side than in the others; mirrored?"
     assert text in calibrate_camera.run(mirrored(measured(2, wrong=False), "i05", SIZE[0])).warnings
     assert not [line for line in calibrate_camera.run(measured(2, wrong=False)).warnings if "other side" in line]
+
+
+def listed_otherwise(factor: float, shift: float, rows: slice) -> Job[Settings, Files]:
+    """Return eight images of a board, of which some targets are listed elsewhere."""
+    right = measured(2, wrong=False)
+    places = right.files.targets
+    assert places is not None
+    x = places.numbers("x").copy()
+    x[rows] = x[rows] * factor + shift
+    return replace(right, files=replace(right.files, targets=Table({**places.columns, "x": x}, places.units)))
+
+
+def test_targets_that_lie_elsewhere_than_listed_are_named() -> None:
+    """The images were named instead, or nothing, for an adjustment that did not converge."""
+    job = listed_otherwise(1 / 25.4, 0.0, slice(30, 39))
+    text = words(job)
+    assert "9 targets lie elsewhere on the board than listed: T30 is seen near (79.9, 39.9, 0) mm" in text
+    assert "check the rows of the list" in text and "fits no view" not in text
+
+
+def test_a_target_that_spoils_all_images_a_little_is_doubted() -> None:
+    """It was done, with k1 off by five standard uncertainties."""
+    text = "readings of T30 in 8 of 8 images contradict the place that is listed"
+    assert text in words(listed_otherwise(1.0, 3.0, slice(30, 31)))
+    assert text in words(listed_otherwise(1.0, 100.0, slice(30, 31)))
+
+
+def test_a_point_that_is_far_off_is_named_and_no_other_order() -> None:
+    right = measured(2, wrong=False)
+    seen = right.files.observations
+    assert seen is not None
+    u = seen.numbers("u").copy()
+    at = int(np.argmax(u))
+    u[at] -= 1000.0
+    spoilt = replace(right, files=replace(right.files, observations=Table({**seen.columns, "u": u}, seen.units)))
+    image, target = seen.texts("image")[at], seen.texts("target")[at]
+    text = words(spoilt)
+    assert f"points of image {image} are off the view" in text and f"{target} by 1000 px" in text
+    assert "another order" not in text and "mirrored" not in text
+
+
+def test_a_diagnosis_has_images_that_no_residual_shows() -> None:
+    """It was clean, and listed nothing."""
+    (noticed,) = calibrate_camera.diagnosed(mirrored(measured(2, wrong=False), "i05", SIZE[0])).noticed
+    assert noticed.startswith("image i05: the board is seen from the other side")
+    assert not calibrate_camera.diagnosed(measured(2, wrong=False)).noticed
+
+
+def test_an_image_whose_u_and_v_are_exchanged_is_named() -> None:
+    """It was done, with k2 wrong by 10 sigma, and its diagnosis had a law and wrong readings."""
+    right = measured(2, wrong=False)
+    seen = right.files.observations
+    assert seen is not None
+    there, u, v = np.array(seen.texts("image")) == "i05", seen.numbers("u"), seen.numbers("v")
+    swapped = Table({**seen.columns, "u": np.where(there, v, u), "v": np.where(there, u, v)}, seen.units)
+    job = replace(right, files=replace(right.files, observations=swapped))
+    _, adjustment = calibrate_camera.with_adjustment(job)
+    assert adjustment is not None and calibrate_camera.with_adjustment(right)[1] is None
+    mistaken = with_other_setting(adjustment(), partial(calibrate_camera.TASK.others, job))
+    assert mistaken is not None
+    (wrong,) = mistaken.mistakes
+    assert str(wrong) == "observations: u and v of image i05 are exchanged"
+    assert wrong.write == "u as v and v as u of image i05"
 
 
 def near_and_far(seed: int, tilt: float, order: int, estimated: tuple[str, ...]) -> Job[Settings, Files]:

@@ -28,6 +28,11 @@ MISTAKES: dict[str, tuple[str, Edit, str]] = {
     "order": ("jobs/after.yaml", put("wCAbXYZt", "wACbXYZt"), "write chain: wCAbXYZt"),
     "tool": ("jobs/after.yaml", put("0 mm, -120 mm]}", "0 mm, 120 mm]}"), "z of T1 has the wrong sign"),
     "twice": ("data/after.csv", lambda text: text + "".join(text.splitlines(keepends=True)[1:]), "remove the copy"),
+    "from 0 to 360": (
+        "data/after.csv",
+        put("-32.546", "327.454"),
+        "write -32.546 deg, the same place, or give a a wider",
+    ),
     "half a turn": ("jobs/after.yaml", put("[0 deg, 360 deg]", "[-180 deg, 180 deg]"), "or `periodic: true`"),
 }
 SLOW = ("c in radians", "c in gon", "headings", "order", "tool")
@@ -121,3 +126,18 @@ def test_a_mistake_in_polar_readings_is_named(name: str, tmp_path: Path, metrocl
     ran = metrocli("calibrate-machine", job, "--output", tmp_path / "wrong.h5")
     assert ran.code == 3 and message in ran.err, ran.err
     assert not (tmp_path / "wrong.h5").exists()
+
+
+def test_a_stuck_angle_puts_no_axis_elsewhere(tmp_path: Path, metrocli: Metrocli) -> None:
+    """A readout that stays at one angle had the result doubt the sign of the place of the other axis."""
+    shutil.copytree(SAMPLES / "five-axis", tmp_path, dirs_exist_ok=True)
+    data = tmp_path / "data" / "after.csv"
+    lines = data.read_text().splitlines()
+    column = lines[0].split(",").index("c_deg")
+    rows = [line.split(",") for line in lines]
+    for row in rows[62:]:
+        row[column] = "120.000"
+    data.write_text("\n".join(map(",".join, rows)) + "\n")
+    ran = metrocli("calibrate-machine", tmp_path / "jobs" / "after.yaml")
+    assert ran.code == 6 and "sigma0 = " in ran.out
+    assert "wrong sign" not in ran.out and "is `at` right?" not in ran.out + ran.err

@@ -136,3 +136,13 @@ def test_exchanged_names_of_surfaces_are_no_other_unit(tmp_path: Path, metrocli:
     ran = metrocli("fit-part", job)
     assert ran.code == 4 and "contradict each other: left and right" in ran.err, ran.err
     assert "multiplied" not in ran.err
+
+
+@pytest.mark.parametrize("axis", range(3))
+def test_a_target_outside_the_part_is_named(axis: int, tmp_path: Path, metrocli: Metrocli) -> None:
+    """Nothing checked the targets, which the next job takes the part from."""
+    made = casting(72)
+    off = made.targets.copy()
+    off[2, axis] += 2500.0
+    ran = metrocli("fit-part", replace(made, targets=off).write(tmp_path))
+    assert ran.code == 6 and "targets lie outside the part: T2 by" in ran.out, ran.out

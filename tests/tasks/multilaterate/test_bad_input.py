@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from places import SAMPLES
 from simulated.lengths import network
 
 from metrocli.formats import csv
@@ -256,3 +258,40 @@ def test_settings_of_probed_points_need_them(key: str, folder: Path, metrocli: M
     (folder / "job.yaml").write_text(JOB + key + "\n")
     ran = metrocli("check", "job.yaml")
     assert ran.code == 3 and "this is of probed points" in ran.err
+
+
+def gear(folder: Path, change: Callable[[list[str]], list[str]], tracer: str = "LT3") -> Path:
+    """The sample gear, the lengths of one of whose tracers are changed."""
+    shutil.copytree(SAMPLES / "gear-m3d3", folder, dirs_exist_ok=True)
+    file = folder / "data" / "tip4_lengths.csv"
+    rows = [line.split(",") for line in lines(file)]
+    own = [row for row in rows if row[1] == tracer]
+    for row, value in zip(own, change([row[2] for row in own]), strict=True):
+        row[2] = value
+    file.write_text("\n".join(map(",".join, rows)) + "\n")
+    return folder / "jobs" / "tip4.yaml"
+
+
+@pytest.mark.slow
+def test_rows_of_one_tracer_that_are_moved_are_named(tmp_path: Path, metrocli: Metrocli) -> None:
+    """Its points lie near one another, so that the misfit is small beside the volume: nothing was named."""
+    ran = metrocli("multilaterate", gear(tmp_path, lambda lengths: [*lengths[1:], lengths[0]]))
+    assert ran.code == 5
+    assert ran.err.splitlines()[1:] == ["  lengths of LT3: they fit if they are moved down by one of its rows"]
+
+
+@pytest.mark.slow
+def test_a_tracer_that_sticks_is_named(tmp_path: Path, metrocli: Metrocli) -> None:
+    """Twenty points were listed, and their places in the list of points blamed."""
+    ran = metrocli("multilaterate", gear(tmp_path, lambda lengths: [*lengths[:50], *[lengths[50]] * 20, *lengths[70:]]))
+    # the failure that it causes varies
+    assert ran.code in (4, 5) and "length_mm of LT3 stays the same in 20 rows in a row" in ran.err
+    assert "from where the list puts it" not in ran.err
+
+
+def test_two_tracers_with_the_names_of_each_other_are_named(tmp_path: Path, metrocli: Metrocli) -> None:
+    job = gear(tmp_path, lambda lengths: lengths)
+    file = tmp_path / "data" / "tracers.csv"
+    file.write_text(file.read_text().replace("LT1", "LTX").replace("LT2", "LT1").replace("LTX", "LT2"))
+    ran = metrocli("multilaterate", job)
+    assert ran.code == 6 and "each stands at the listed place of the other" in ran.err

@@ -90,3 +90,12 @@ def test_a_difference_without_the_coefficients_uncertainty_is_refused(
     heat = {"alpha": "11e-6 1/K", "difference": "4 K", "std": "0.5 K"}
     ran = carry_out(tmp_path, {"volume": volume, "contributors": [{"name": "t", "expansion": heat}]})
     assert ran.code == 3 and "give alpha_std" in capsys.readouterr().err
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_variance_that_cancels_but_for_rounding_is_zero(tmp_path: Path) -> None:
+    quantities = {name: {"value": "10 mm", "std": "1 um"} for name in "ab"}
+    measurands = {"d": {"model": "a - b", "unit": "mm"}, "q": {"model": "a/b"}}
+    correlations = [{"between": ["a", "b"], "value": 1}]
+    ran = carry_out(tmp_path, {"quantities": quantities, "measurands": measurands, "correlations": correlations})
+    assert ran.result is not None and [one.std for one in ran.result.estimates] == [0.0, 0.0]

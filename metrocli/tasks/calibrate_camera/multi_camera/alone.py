@@ -17,7 +17,7 @@ from metrocli.errors import InputError, UndeterminedError
 from metrocli.geometry import poses
 from metrocli.geometry.rotations import cross_matrix
 from metrocli.instruments import camera
-from metrocli.tasks.calibrate_camera.advice import seen_from_behind, turned_too_little
+from metrocli.tasks.calibrate_camera.advice import turned_too_little
 from metrocli.tasks.calibrate_camera.doubts import principal_point, unmodelled, why_not
 from metrocli.tasks.calibrate_camera.multi_camera.system import CameraSystem
 from metrocli.tasks.calibrate_camera.other_lenses import fisheye_instead
@@ -25,6 +25,7 @@ from metrocli.tasks.calibrate_camera.problem import CameraProblem
 from metrocli.tasks.calibrate_camera.projection_error import angle_warnings
 from metrocli.tasks.calibrate_camera.settings import Settings
 from metrocli.tasks.calibrate_camera.shape.spline import with_shape
+from metrocli.tasks.calibrate_camera.wrong_images.turned import seen_from_behind
 from metrocli.tasks.shared.images.adjustment import AdjustedImages, Options, adjust_images
 from metrocli.tasks.shared.images.exposures import IMAGE
 from metrocli.tasks.shared.images.settings import SPLINE

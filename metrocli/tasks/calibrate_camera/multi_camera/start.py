@@ -13,6 +13,7 @@ from metrocli.arrays import Array, Index
 from metrocli.errors import Fault, InputError
 from metrocli.frozen import dataclass
 from metrocli.geometry import poses
+from metrocli.tasks.calibrate_camera.wrong_images.turned import mirrored, on_the_other_side
 
 _NEAR = 0.02
 """Share of the longer side of the image by which targets may be off where a right pair of images predicts them"""
@@ -85,6 +86,7 @@ def _strangers(
     first: CalibratedCamera, second: CalibratedCamera, points: Array, pose: Array, pairs: tuple[Index, Index]
 ) -> Iterator[tuple[str, bool]]:
     """Yield each image that does not fit its partner, the one with which it was taken, and whether that is known."""
+    sides = [on_the_other_side(camera.places[:, :3], points) for camera in (first, second)]
     for i, j in zip(*pairs, strict=True):
         there = np.broadcast_to(second.places[j], first.places.shape)
         off = _off(pose, first.places, there, second.focal, points)
@@ -92,7 +94,12 @@ def _strangers(
             fits = int(np.argmin(off))
             known = bool(off[fits] <= second.limit)
             other = f", but with {first.images[fits]}" if known else ""
-            yield f"{second.images[j]} not with {first.images[i]}{other}", known
+            named = ((first.images[i], sides[0][i]), (second.images[j], sides[1][j]))
+            behind = [image for image, there in named if there]
+            yield (
+                f"{second.images[j]} not with {first.images[i]}{other}{f' ({mirrored(behind)})' if behind else ''}",
+                known,
+            )
 
 
 def _by_all(first: CalibratedCamera, second: CalibratedCamera, points: Array) -> Array:

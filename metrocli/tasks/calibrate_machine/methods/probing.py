@@ -108,9 +108,13 @@ def _must_meet(machine: Machine, position: Array, targets: MeasuredTargets, read
         raise_if(_of_other_names(targets.fixed, at, wrong, balls.members, table))
     elif np.median(off) > _FAR:
         # a fault without a hint: a task then tries what may be wrong in the settings
-        text = f"the probe is {np.median(off):.0f} mm from the listed balls in the median pose: chain, sense or `at` of"
         raise InputError(
-            [table.fault(f"{text} the rotary axes, or the list of the balls, are those of another machine")]
+            [
+                table.fault(
+                    f"the probe is {np.median(off):.0f} mm from the listed balls in the median pose: the tool, chain, "
+                    "sense or `at` of the rotary axes, or the list of the balls, are those of another machine"
+                )
+            ]
         )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -14,13 +14,12 @@ from metrocli.adjust.datum import Datum
 from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.outcome import Outcome
-from metrocli.adjust.robust import FitQuality, Suspects, apart, gross, robust_start, suspects, typical
+from metrocli.adjust.robust import FitQuality, Suspects, apart, fitting, gross, robust_start, suspects, typical
 from metrocli.adjust.rounds import Used, in_rounds
 from metrocli.adjust.solution import Residuals, Solution, residuals_of
 from metrocli.arrays import Array
 from metrocli.errors import InputError, NotConvergedError
 from metrocli.frozen import dataclass
-from metrocli.instruments.camera import LENS
 from metrocli.table import Table
 from metrocli.tasks.shared.noise import Structured, job_noise
 
@@ -53,6 +52,8 @@ _LEAST = 1e-7
 """Smallest noise [px] that is estimated: below it the residuals are rounding errors"""
 _MOST = 1000
 """Limit of the rounds in which outliers are removed"""
+_AGAIN = 5
+"""Limit of the times that readings come back which fit without those that were left out after them"""
 _ROUNDS = 60
 """Limit of the rounds in which the noise is estimated; it settles slowly if priors of targets are as wide as these"""
 
@@ -147,10 +148,12 @@ def adjust_images(
         state = robust_start(blocks.values(), [group, *others], (group.name,), datum, "view")
     # readings that are far off at the start are left out at once: each would otherwise take a round of its own
     far = gross(group, state) if options.remove_outliers else np.zeros(group.observations.count)
-    kept = group.selected(np.flatnonzero(far == 0))
-    begun = _KeptImagePoints(
-        Used(far), kept, _without_lost_views(state, kept), _ROUGH if options.remove_outliers else _EXACT
-    )
+
+    def begun(tests: Array, state: Mapping[str, Block]) -> _KeptImagePoints:
+        kept = group.selected(np.flatnonzero(tests == 0))
+        return _KeptImagePoints(
+            Used(tests), kept, _without_lost_views(state, kept), _ROUGH if options.remove_outliers else _EXACT
+        )
 
     def fewer(using: _KeptImagePoints, solved: _Solved) -> tuple[_KeptImagePoints, bool]:
         suspected = solved.suspects(not options.estimate_noise)
@@ -169,7 +172,22 @@ def adjust_images(
         )
         return left, bool(out.size) or using.within is not _EXACT
 
-    using, solved = in_rounds(begun, lambda using: _solved(using, others, datum, options), fewer, _MOST)
+    def solve(using: _KeptImagePoints) -> _Solved:
+        return _solved(using, others, datum, options)
+
+    using, solved = in_rounds(begun(far, state), solve, fewer, _MOST)
+    for _ in range(_AGAIN if options.remove_outliers else 0):
+        if not solved.solution.outcome.good:
+            break
+        # a foreign image raises the tests of the others, until it has left: what fits without it comes back
+        found = {name: block.with_values(solved.solution.blocks[name].values) for name, block in blocks.items()}
+        tests = np.where(fitting(group, found), 0.0, using.used.tests)
+        if np.count_nonzero(tests) == len(using.used.rejected):
+            break
+        again, better = in_rounds(begun(tests, found), solve, fewer, _MOST)
+        if not better.solution.outcome.good or len(again.used.rejected) >= len(using.used.rejected):
+            break
+        using, solved = again, better
     if solved.solution.outcome.good:
         must_fit(typical(solved.group, solved.solution.blocks), options.image_size)
     noise = float(np.sqrt(np.mean(solved.group.observations.sigma**2))) if options.estimate_noise else None
@@ -264,22 +282,3 @@ def _rejected(group: Group, tests: Array) -> Table:
     rows, keys = np.flatnonzero(tests), group.observations.keys
     columns = {f"{key} [text]": [keys[key][i] for i in rows] for key in ("image", "target")}
     return Table.of({**columns, "u v [px]": group.observations.readings[:, rows].T, "w": tests[rows]})
-
-
-POINT = ("cx", "cy")
-Blocks = Mapping[str, Block]
-
-
-def held_in_the_middle(blocks: Blocks, size: tuple[int, int], adjusted: Callable[[Blocks], Blocks]) -> dict[str, Block]:
-    """Return blocks `adjusted` with the principal point held in the middle of an image of a size, which is free again.
-
-    The shift `s r^2` of a thin prism is nearly what a principal point far off, tilted views and decentring do. Where
-    these have taken its place, a small prism of the wrong sign is at a minimum of its own beside them.
-    """
-    lens = blocks[LENS]
-    chosen = np.isin(lens.columns, POINT)
-    middle = np.array([(size[POINT.index(name)] - 1) / 2 for name in lens.columns if name in POINT])
-    values = lens.values.copy()
-    values[:, chosen] = middle
-    held = adjusted({**blocks, LENS: replace(lens, values=values, free=lens.free & ~chosen)})
-    return {name: block.with_values(held[name].values) for name, block in blocks.items()}

@@ -22,7 +22,8 @@ from metrocli.effects.extension import with_conditions
 from metrocli.effects.model import Model
 from metrocli.instruments.camera import LENS, TARGET
 from metrocli.tasks.shared.diagnosed import FOLDS
-from metrocli.tasks.shared.images.adjustment import IMAGES, AdjustedImages, held_in_the_middle
+from metrocli.tasks.shared.images.adjustment import IMAGES, AdjustedImages
+from metrocli.tasks.shared.images.middle import held_in_the_middle
 
 _OF_TRIALS = StoppingRule(limit=200)
 """An adjustment with terms that the readings show takes less than 100 steps; others may wander through thousands"""

@@ -1,11 +1,13 @@
-"""Images that a viewer turned by 180 degrees: each still fits a board, with the principal point on the other side.
+"""Images that a viewer turned or mirrored: each still fits a board.
 
-A turned image has (W-1-u, H-1-v) for (u, v), so its principal point is that of the others, reflected in the middle of
-the image. Poses take up most of the difference, and the noise the rest.
+One that is turned by 180 degrees has (W-1-u, H-1-v) for (u, v), so its principal point is that of the others, reflected
+in the middle of the image. Poses take up most of the difference, and the noise the rest. One that is mirrored, or whose
+u and v are exchanged, fits the board seen from behind.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -13,9 +15,13 @@ import numpy as np
 from metrocli.adjust.adjustment import StoppingRule, adjust
 from metrocli.adjust.solution import Solution
 from metrocli.arrays import Array, Mask
+from metrocli.diagnosis.corrections import Mistake
 from metrocli.geometry import poses
 from metrocli.instruments import camera
+from metrocli.instruments.camera_start import plane_frame
 from metrocli.tasks.calibrate_camera.problem import CameraProblem
+from metrocli.tasks.calibrate_camera.settings import Files, Settings
+from metrocli.tasks.job import Job
 from metrocli.tasks.shared.images.adjustment import AdjustedImages
 from metrocli.words import listed
 
@@ -82,6 +88,55 @@ def _with_turned_back(problem: CameraProblem, adjusted: AdjustedImages, turned: 
     moved = adjust(held, [group], None, StoppingRule(limit=30, covariance=False)).blocks
     freed = [replace(block, free=blocks[name].free) for name, block in moved.items()]
     return adjust(freed, [group, *problem.others], problem.datum, StoppingRule(covariance=False))
+
+
+def seen_from_behind(problem: CameraProblem) -> list[str]:
+    """Return which images show a flat board from the other side than most: they may be mirrored."""
+    named = behind(problem)
+    return [mirrored(named)] if named else []
+
+
+def mirrored(named: Sequence[str]) -> str:
+    """Return that images show a board from behind, in words."""
+    noun = "image" if len(named) == 1 else "images"
+    return f"{noun} {listed(named)}: the board is seen from the other side than in the others; mirrored?"
+
+
+def other_settings(job: Job[Settings, Files], problem: CameraProblem) -> Iterator[tuple[Mistake, Job[Settings, Files]]]:
+    """Yield the observed points of images that show the board from behind, mirrored back in each way that differs."""
+    named, table = behind(problem), job.files.observations
+    if not named or table is None:
+        return
+    there, many = np.isin(table.texts("image"), named), len(named) > 1
+    of = f"{'images' if many else 'image'} {listed(named)}"
+    u, v = table.numbers("u"), table.numbers("v")
+    w, h = problem.image_size
+    ways = (
+        (f"u and v of {of} are exchanged", f"u as v and v as u of {of}", v, u),
+        (f"{of} {'are' if many else 'is'} mirrored from left to right", f"{w - 1} - u for u of {of}", w - 1 - u, v),
+        (f"{of} {'are' if many else 'is'} mirrored upside down", f"{h - 1} - v for v of {of}", u, h - 1 - v),
+    )
+    for words, write, new_u, new_v in ways:
+        columns = {**table.columns, "u": np.where(there, new_u, u), "v": np.where(there, new_v, v)}
+        changed = replace(job.files, observations=replace(table, columns=columns))
+        yield Mistake("observations", words, write, file=table.file, sort="images"), replace(job, files=changed)
+
+
+def behind(problem: CameraProblem) -> list[str]:
+    """Return the images that show a flat board from the other side than most."""
+    if problem.rig != "board":
+        return []
+    points = problem.sighted.targets.points[np.unique(problem.sighted.target)]
+    few = on_the_other_side(poses.inverse(problem.blocks[camera.VIEW].values)[:, :3], points)
+    few &= problem.blocks[camera.VIEW].free.any(axis=1)  # an image that lost all readings has no pose
+    return [name for name, there in zip(problem.sighted.images, few, strict=True) if there]
+
+
+def on_the_other_side(places: Array, points: Array) -> Mask:
+    """Return which places of a camera (n, 3) are on the other side of flat targets (m, 3) than most."""
+    frame, planar = plane_frame(points)
+    there = poses.apply(frame, places)[:, 2] > 0
+    return np.asarray((there if 2 * there.sum() <= len(there) else ~there) & planar)
 
 
 def _rolled(values: Array, rig: str) -> Array:
