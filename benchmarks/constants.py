@@ -1,6 +1,6 @@
 """Which numbers of the diagnosis change a verdict, where each is doubled or halved.
 
-python -m benchmarks constants [EVERY]
+python -m benchmarks constants [EVERY] [MODULE ...]    # such as evidence rounds laws
 
 Each number that a module of `metrocli/diagnosis` defines is doubled, then halved. One shared case in EVERY (24 unless
 given) of each kind, and a real board as it is, are diagnosed anew, until one has another verdict, other names or
@@ -135,12 +135,15 @@ def changed(number: Number, factor: float, all_jobs: Jobs, before: dict[str, str
 
 def main(arguments: list[str]) -> int:
     """Print which numbers change an answer; the exit code is 0 whatever they are."""
+    words = [word for word in arguments if not word.isdecimal()]
+    count = next((int(word) for word in arguments if word.isdecimal()), EVERY)
     with tempfile.TemporaryDirectory() as folder:
-        every = jobs(int(arguments[0]) if arguments else EVERY, Path(folder))
+        every = jobs(count, Path(folder))
         start = time.process_time()
         before = {name: answer(job) for name, job in every.items()}
         print(f"{len(before)} diagnoses, {time.process_time() - start:.0f} s", flush=True)
-        listed, changing, hits = list(numbers()), list[Number](), dict[str, int]()
+        listed = [number for number in numbers() if not words or any(word in number.module for word in words)]
+        changing, hits = list[Number](), dict[str, int]()
         for number in listed:
             for factor in FACTORS:
                 # what has changed most often is tried first
