@@ -33,7 +33,7 @@ from metrocli.tasks.calibrate_camera.shape.spline import with_shape
 from metrocli.tasks.calibrate_camera.simulation import simulate
 from metrocli.tasks.calibrate_camera.starts import about_the_middle
 from metrocli.tasks.calibrate_camera.wrong_images import turned
-from metrocli.tasks.calibrate_camera.wrong_images.strange import strange_images
+from metrocli.tasks.calibrate_camera.wrong_images.strange import not_found, strange_images
 from metrocli.tasks.job import Job, Task
 from metrocli.tasks.shared.images.adjustment import (
     AdjustedImages,
@@ -76,8 +76,10 @@ def diagnosed(job: Job[Settings, Files]) -> AdjustedJob:
     if job.settings.cameras is not None:
         return multi_camera.diagnosed(job, job.settings.cameras)
     settings, problem = prepared(job)
-    whole = adjusted_job(problem, solved(replace(settings, outliers="report"), problem))
-    noticed = tuple(turned.seen_from_behind(problem))
+    adjusted = solved(replace(settings, outliers="report"), problem)
+    whole = adjusted_job(problem, adjusted)
+    lost = not_found(problem, adjusted.group, adjusted.group.residuals(adjusted.solution.blocks))
+    noticed = (*turned.seen_from_behind(problem), *lost)
     return replace(whole, not_sought=not_sought(settings.shutter, whole.model), noticed=noticed)
 
 

@@ -131,6 +131,11 @@ def test_a_diagnosis_has_images_that_no_residual_shows() -> None:
     assert not calibrate_camera.diagnosed(measured(2, wrong=False)).noticed
 
 
+def test_diagnose_states_which_image_has_its_targets_in_another_order() -> None:
+    (noticed,) = calibrate_camera.diagnosed(measured(1, wrong=True)).noticed
+    assert "fits no view of a flat board" in noticed and "another order" in noticed
+
+
 def test_an_image_whose_u_and_v_are_exchanged_is_named() -> None:
     """It was done, with k2 wrong by 10 sigma, and its diagnosis had a law and wrong readings."""
     right = measured(2, wrong=False)
