@@ -261,11 +261,16 @@ def _left(
 def _misfit(state: State, gain: Gain | None) -> float | None:
     """Return the squares of errors that what is left is compared with, those before all that is identified.
 
-    An extended job has its effects in the model: then it is compared with the errors that it has with them.
+    An extended job has its effects in the model: then it is compared with the errors that it has with them. One that
+    states correlated errors alone has nothing identified; what is little beside these is no reason to doubt it.
     """
     if gain is None:
-        effects = [added for added in state.measurement.job.model.added if added.effect.name != CORRELATED_ERROR]
-        gain = gain_between(state, state) if len(effects) > len(state.measurement.job.standing) else None
+        m = state.measurement
+        stated = [added.std for added in m.job.model.added if added.effect.name == CORRELATED_ERROR]
+        if len(m.job.model.added) - len(stated) > len(m.job.standing):
+            gain = gain_between(state, state)
+        elif stated and len(m.system.rows_in_units) == 1:
+            return max(stated) ** 2
     return gain.before**2 if gain is not None and gain.before else None
 
 
