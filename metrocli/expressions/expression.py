@@ -252,10 +252,11 @@ def _called(node: ast.Call, start: int) -> tuple[str, list[ast.expr]]:
         needs = f"{name} takes {FUNCTIONS[name]} argument{'s' if FUNCTIONS[name] > 1 else ''}"
         raise ExpressionError(f"{needs}, not {len(node.args) + len(node.keywords)}", start, f"write {name}(...)")
     angle = node.args[0]
-    if name in _OF_ANGLES and isinstance(angle, ast.Constant) and abs(_finite(angle, start)) > 2 * math.pi:
-        number = f"{_finite(angle, start):g}"
-        text = f"{name} takes radians, and {number} is more than a turn"
-        raise ExpressionError(text, start, f"write {name}({number}*pi/180) for degrees")
+    number = angle.operand if isinstance(angle, ast.UnaryOp) else angle
+    if name in _OF_ANGLES and isinstance(number, ast.Constant) and abs(_finite(number, start)) > 2 * math.pi:
+        written = ast.unparse(angle)
+        text = f"{name} takes radians, and {written} is more than a turn"
+        raise ExpressionError(text, start, f"write {name}({written}*pi/180) for degrees")
     return name, node.args
 
 

@@ -205,7 +205,7 @@ def _number(cell: str, column: Column) -> tuple[float | int, str, str | None]:
     except ValueError:
         reason = f"'{cell}' is not a {'whole ' if column.dimension == WHOLE else ''}number" if cell else "an empty cell"
     if column.dimension == "time" and _CLOCK.search(cell):
-        return 0, reason, "write seconds from one moment on, such as the first row"
+        return 0, reason, "write the time since one moment, such as that of the first row, in the unit of the heading"
     comma = re.fullmatch(r"([+-]?[0-9]*),([0-9]+)", cell)
     hint = f"write {comma[1]}.{comma[2]}" if comma else None if cell.isascii() else "write 0 to 9, as on a keyboard"
     return 0, reason, f"write {cell.replace('_', '')}" if reason.endswith("underscore") else hint

@@ -228,4 +228,8 @@ def test_degrees_in_a_sine_are_refused() -> None:
     for name in ("sin", "cos", "tan"):
         with pytest.raises(ExpressionError, match="takes radians, and 30 is more than a turn"):
             parse(f"2*{name}(30)")
+    for angle in ("-30", "30.1234567"):
+        with pytest.raises(ExpressionError) as caught:
+            parse(f"1 + sin({angle})")
+        assert caught.value.hint == f"write sin({angle}*pi/180) for degrees"
     assert parse("sin(30*pi/180) + sin(0.5) + exp(30)")

@@ -117,7 +117,7 @@ BROKEN = {
     "column without name": ("image,target,u_px,\na,1,2,5\n", "1:19", "a column has no name", ""),
     "too few cells": (HEAD + "a,1\n", "2:4", "cells in this row: 2; columns in the header: 3", "image, target, u_px"),
     "too many cells": (HEAD + "a,1,2,3\n", "2:7", "cells in this row: 4; columns in the header: 3", "decimal comma"),
-    "time of day": ("image,target,u_px,t_s\na,1,2,14:05:08\n", "2:7", "'14:05:08' is not a number", "write seconds from one moment on"),
+    "time of day": ("image,target,u_px,t_s\na,1,2,14:05:08\n", "2:7", "'14:05:08' is not a number", "write the time since one moment"),
     "decimal comma": ("image;target;u_px\na;1;0,5\n", "2:5", "'0,5' is not a number", "write 0.5"),
     "nan": (HEAD + "a,1,2\na,2,NaN\n", "3:5", "column 'u_px': 'NaN' is not a finite number", ""),
     "infinity": (HEAD + "a,1,-inf\n", "2:5", "'-inf' is not a finite number", ""),

@@ -19,6 +19,8 @@ GIVEN = tuple(f"sigma of {name}" for name in POLAR)
 """Conditions: standard deviations that the file gives, nan where the noise of the instrument holds"""
 FACTOR = "noise factor"
 """Condition: how many times the declared noise a reading has"""
+_FAR = 1e9
+"""Distance at which an offset across changes no angle [mm]"""
 _LEAST = 1e-6
 """Least cosine of an elevation in the noise of an azimuth"""
 
@@ -57,6 +59,17 @@ def _sigma(which: int, seen: Array, parts: Sequence[Array]) -> Array:
     if which == ELEVATION:
         return np.asarray(np.sqrt(elevation**2 + across / distance**2))
     return np.asarray(np.sqrt(constant**2 + (proportional * distance) ** 2 + centring**2))
+
+
+def declared(instruments: Mapping[str, NetworkInstrument], which: Index, seen: Array, given: Array) -> Array:
+    """Return the standard deviations that are declared for readings `seen` (3, n), or `given` in their file, (3, n).
+
+    `which` are their instruments. Angles without a distance have the noise of far points, which is the least.
+    """
+    parts = list(parts_of(instruments, which).values())
+    angles, distance = np.nan_to_num(seen[:DISTANCE]), np.where(np.isnan(seen[DISTANCE]), _FAR, seen[DISTANCE])
+    at = np.vstack([angles, distance])
+    return np.stack([np.where(np.isnan(given[k]), _sigma(k, at, parts), given[k]) for k in range(len(given))])
 
 
 def component(group: Group) -> int:

@@ -16,6 +16,7 @@ from metrocli.errors import InputError, all_faults
 from metrocli.frozen import dataclass
 from metrocli.result import Result
 from metrocli.table import Table
+from metrocli.tasks.adjust_network import noise as n
 from metrocli.tasks.adjust_network.settings import INTERFEROMETER, Files, NetworkInstrument, Settings
 from metrocli.tasks.adjust_network.sightings import PolarSightings, Stations, refuse_pairs, sightings_of, stations_of
 from metrocli.tasks.shared.lists import matched, negative, refuse, rows_of, sigmas, sticking
@@ -158,9 +159,11 @@ def _with_warnings(readings: NetworkReadings) -> NetworkReadings:
     )
     idle = [name for i, name in enumerate(readings.stations.names) if i not in used]
     lines = [f"stations without a reading are left out: {listed(idle)}"] if idle else []
-    seen = readings.sightings
-    for name in ("az", "el", "d"):
-        lines += sticking(seen.table, name, seen.station, readings.stations.names, seen.point)
+    seen, names = readings.sightings, readings.stations.names
+    sigma = n.declared(readings.instruments, readings.stations.instrument[seen.station], seen.values, seen.sigma)
+    for columns, declared in zip((("az", "hz"), ("el", "zd"), ("d",)), sigma, strict=True):
+        for name in columns:
+            lines += sticking(seen.table, name, (seen.station, seen.point), names, declared)
     return replace(readings, warnings=tuple(lines))
 
 

@@ -19,7 +19,7 @@ from metrocli.instruments.camera import TARGET
 from metrocli.tasks.calibrate_camera.other_lenses import fisheye_instead
 from metrocli.tasks.calibrate_camera.problem import CameraProblem
 from metrocli.tasks.calibrate_camera.settings import CameraSettings
-from metrocli.tasks.calibrate_camera.wrong_images.strange import not_found
+from metrocli.tasks.calibrate_camera.wrong_images.strange import FEW_VIEWS, not_found
 from metrocli.tasks.calibrate_camera.wrong_images.turned import turned_images
 from metrocli.tasks.shared.images.adjustment import AdjustedImages
 from metrocli.tasks.shared.images.tables import FEW, root_mean_square, scatter
@@ -122,7 +122,7 @@ def misplaced(problem: CameraProblem, adjusted: AdjustedImages) -> list[str]:
         return []
     index = group.observations.index[TARGET]
     seen, off = (np.bincount(rows, minlength=len(names)) for rows in (index, index[adjusted.suspects.rows]))
-    wrong = (2 * off > seen) & (off > _FEW_VIEWS)
+    wrong = (2 * off > seen) & (off > FEW_VIEWS)
     squares = (group.observations.whitened(adjusted.residuals.values) ** 2).sum(axis=0)
     if squares[wrong[index]].sum() <= _MUCH * squares.sum():
         return []
@@ -131,10 +131,6 @@ def misplaced(problem: CameraProblem, adjusted: AdjustedImages) -> list[str]:
         f"readings of {listed(each)} contradict the place that is listed, and make up most of the squared residuals: "
         "correct the list"
     ]
-
-
-_FEW_VIEWS = 2
-"""Two images that contradict the place of a target are too few"""
 
 
 def held_doubts(problem: CameraProblem, settings: CameraSettings, adjusted: AdjustedImages) -> list[str]:

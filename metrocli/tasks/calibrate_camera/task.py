@@ -10,6 +10,7 @@ from metrocli.adjust.clusters.robust import FROM_RESIDUALS, STRUCTURED, must_suf
 from metrocli.adjust.outcome import Outcome
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.corrections import Mistake
+from metrocli.diagnosis.trials import FAILURES
 from metrocli.errors import InputError, UndeterminedError, UsageError
 from metrocli.imageset import ImageSet
 from metrocli.result import Result
@@ -91,13 +92,18 @@ def other_settings(job: Job[Settings, Files], fits: bool) -> Iterator[tuple[Mist
     settings = job.settings
     if settings.cameras is None:
         yield from as_several(job)
-        yield from turned.other_settings(job, prepared(job)[1])
+        try:
+            problem = prepared(job)[1]
+        except FAILURES:
+            # what fails before an adjustment is not in the settings: corrections of its files are tried
+            return
+        yield from turned.other_settings(job, problem)
     each: list[CameraSettings] = [settings.camera] if settings.cameras is None else [*settings.cameras.values()]
     known = fits and isinstance(settings.noise, float)
     if known or not any(camera.convention == "forward" and camera.model != SPLINE for camera in each):
         return
     if settings.cameras is None:
-        yield from other_lenses.other_settings(job, prepared(job)[1])
+        yield from other_lenses.other_settings(job, problem)
     else:
         system = multi_camera.prepared(job, settings.cameras)
         yield from other_lenses.other_settings_of_several(job, dict(pinholes(system)))

@@ -24,8 +24,10 @@ from metrocli.words import listed, suggestion
 TARGET_WORD = "target"
 """Word in the column `surface` that marks a coded target"""
 
-_OFF_PART, _FEW = 0.1, 0.25
-"""Distance from the box of the points as a share of its extent, and share of targets, up to which such are wrong"""
+_OFF_PART = 1.0
+"""Distance from the box of the points, as a share of its extent, beyond which a target is not on a fixture beside it"""
+_FEW = 0.25
+"""Share of the targets up to which those are wrong"""
 
 
 @dataclass(frozen=True)
@@ -115,7 +117,7 @@ def read(settings: Settings, points: Table | Result, names: tuple[str, ...], of_
 
 
 def far_targets(readings: PartReadings, to_part: Array) -> list[str]:
-    """Return which targets are not on the part: outside the box of its points, where most are not."""
+    """Return which targets are neither on the part nor on a fixture beside it, if most are."""
     targets, points = readings.targets, poses.apply(to_part, readings.surface_points.points)
     if not targets.names:
         return []
@@ -123,11 +125,11 @@ def far_targets(readings: PartReadings, to_part: Array) -> list[str]:
     beyond = np.maximum(np.maximum(points.min(axis=0) - at, at - points.max(axis=0)), 0.0)
     away = np.linalg.norm(beyond, axis=1)
     far = away > _OFF_PART * extents(points).max()
-    # many that are far off stand on a fixture
-    if not far.any() or far.sum() > max(_FEW * len(away), 1):
+    # many that are far off, or all, stand on something else
+    if not far.any() or far.all() or far.sum() > max(_FEW * len(away), 1):
         return []
     each = [f"{targets.names[i]} by {units.sized(away[i], 'length')}" for i in np.flatnonzero(far).tolist()]
-    return [f"targets lie outside the part: {listed(each, 5)}; correct their coordinates, or leave them out"]
+    return [f"targets lie far outside the part: {listed(each, 5)}; correct their coordinates, or leave them out"]
 
 
 def _growth(settings: Settings, points: Table | Result) -> dict[str, float]:

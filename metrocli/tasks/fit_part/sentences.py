@@ -24,7 +24,7 @@ _ALIKE = 1e-7
 _DEPENDENT = 1e-6
 """Share of a direction of rows, relative to the largest, below which it is rounding"""
 WRONG, MATERIAL = "wrong", 0.1
-"""Reason of a point farther from the level of its surface than this share of the part: no chip or flash is so large"""
+"""Reason of a point farther from the level of its surface than this share of the part: chips and flash are smaller"""
 _LIKELY = 0.05
 """Chance of a surface that stays unclean from which a warning names it"""
 
@@ -84,7 +84,7 @@ def warnings(solved: FittedPart, surfaces: Table, rejected: Table) -> Iterator[s
     each = (
         ("chip", "material is missing"),
         ("flash", "material stands out"),
-        (WRONG, "no chip or flash is so large: look at coordinates and names"),
+        (WRONG, "a chip or flash would be larger than a tenth of the part: look at coordinates, names and the part"),
     )
     for reason, what in each:
         rows = [row for row, text in enumerate(rejected.texts("reason")) if text == reason]

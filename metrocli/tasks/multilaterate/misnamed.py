@@ -17,7 +17,7 @@ from metrocli.instruments.tracer_start import start
 from metrocli.table import Table
 from metrocli.tasks.multilaterate.readings import LengthReadings, read
 from metrocli.tasks.multilaterate.settings import Files, Settings
-from metrocli.tasks.shared.lists import rows_of, sticking
+from metrocli.tasks.shared.lists import rows_of
 from metrocli.tasks.shared.tracers import in_another_order
 
 T = TypeVar("T")
@@ -45,7 +45,7 @@ def naming_wrong_lengths(settings: Settings, files: Files, solved: Callable[[Fil
         return solved(files)
     except (NoSolutionError, InputError) as error:
         readings = read(settings, files)
-        if isinstance(error, NoSolutionError) and (whole := _of_whole_tracers(files.lengths, readings)):
+        if isinstance(error, NoSolutionError) and (whole := _of_whole_tracers(readings)):
             raise type(error)("\n  ".join([str(error).partition(":")[0], *whole]), error.misfit) from error
         wrong = _wrong_lengths(files.lengths, readings)
         if not wrong or _fails(solved, files, np.concatenate([lengths.rows for lengths in wrong])):
@@ -57,11 +57,9 @@ def naming_wrong_lengths(settings: Settings, files: Files, solved: Callable[[Fil
         raise type(error)("\n  ".join([str(error).partition(":")[0], *texts]), error.misfit) from error
 
 
-def _of_whole_tracers(lengths: Table, readings: LengthReadings) -> list[str]:
+def _of_whole_tracers(readings: LengthReadings) -> list[str]:
     """Return what is wrong with many lengths of a tracer: they stay the same, or fit in another order of its rows."""
-    seen, point = readings.seen_by, readings.observations.index[t.POINT]
-    stuck = list(sticking(lengths, "length", seen.tracers.of, seen.tracers.names, point))
-    return stuck or [f"lengths of {name}: {words}" for name, words in in_another_order(seen)]
+    return list(readings.stuck) or [f"lengths of {name}: {words}" for name, words in in_another_order(readings.seen_by)]
 
 
 def _fails(solved: Callable[[Files], object], files: Files, rows: Index) -> bool:

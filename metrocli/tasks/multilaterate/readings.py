@@ -48,6 +48,8 @@ class LengthReadings:
     absolute: bool
     seen_by: LengthsToTracers
     """What the search of the tracers takes of them"""
+    stuck: tuple[str, ...] = ()
+    """Tracers whose lengths stay the same, in words"""
     warnings: tuple[str, ...] = ()
 
     @cached_property
@@ -94,8 +96,9 @@ def read(settings: Settings, files: Files) -> LengthReadings:
     rows = few_of_each(read_by)
     seen = LengthsToTracers(read_by, rows, nominal[point[rows]], length[rows], extent, absolute, lengths.file)
     readings = LengthReadings(names, nominal, sigma, read_by, observations, stops, air, absolute, seen)
-    stuck = sticking(lengths, "length", read_by.of, read_by.names, point)
-    return replace(readings, warnings=(*_unused(readings), *stuck, *unused(settings.environment, lengths)))
+    declared = np.hypot(settings.noise.constant, settings.noise.proportional * length)
+    stuck = tuple(sticking(lengths, "length", (read_by.of, point), read_by.names, declared))
+    return replace(readings, stuck=stuck, warnings=(*_unused(readings), *stuck, *unused(settings.environment, lengths)))
 
 
 def _stops(point: Index, sigma: Array, time: Array | None) -> tuple[Index, Array]:

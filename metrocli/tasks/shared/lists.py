@@ -13,11 +13,15 @@ from metrocli.arrays import Array, Index, Mask
 from metrocli.copies import row_hashes
 from metrocli.errors import InputError
 from metrocli.table import MOST_FAULTS, Table, columns
+from metrocli.units import suffixes
 from metrocli.words import did_you_mean
 
 Texts = npt.NDArray[np.str_]
-_STICKS = 5
-"""So many different points in a row do not have the same reading by chance"""
+_STICKS, _FINE = 5, 0.3
+"""So many different points in a row do not have the same reading by chance, if the last digit is finer than this share
+of its standard deviation"""
+_ROUNDING, _DIGITS = 1e-12, 15
+"""Relative rounding of numbers that were converted to another unit, and the most decimals of a number"""
 SIGMAS = columns("sigma?* sigma_x?* sigma_y?* sigma_z?* [length]")
 """Columns of standard deviations: one for all three coordinates, or one for each"""
 
@@ -134,19 +138,39 @@ def name_of(keys: Mapping[str, tuple[str, ...]], key: str, row: int) -> str:
     return f"{keys[key][row]} ({keys[TIME][row]})" if TIME in keys else keys[key][row]
 
 
-def sticking(table: Table, name: str, source: Index, sources: Sequence[str], point: Index) -> Iterator[str]:
-    """Yield where readings of a source (n,) stay the same at several points in a row, as of a sensor that sticks."""
+def sticking(table: Table, name: str, read: tuple[Index, Index], sources: Sequence[str], sigma: Array) -> Iterator[str]:
+    """Yield where readings of a source stay the same at several points in a row, as of a sensor that sticks.
+
+    `read` are source and point of each reading, `sigma` its standard deviation (n,). Noise changes the last digit, also
+    where the points are as far away: readings whose digits are too coarse for that may repeat.
+    """
     if name not in table:
         return
+    source, point = read
     order = np.argsort(source, kind="stable")
     values, of, at = table.numbers(name)[order], source[order], point[order]
     begins = np.flatnonzero(np.append(True, (values[1:] != values[:-1]) | (of[1:] != of[:-1])))
     ends = np.append(begins[1:], len(values))
-    for begin, end in zip(begins.tolist(), ends.tolist(), strict=True):
-        if end - begin < _STICKS or len(np.unique(at[begin:end])) < _STICKS:
+    long = np.flatnonzero(ends - begins >= _STICKS)
+    digit = _last_digit(table, name) if long.size else 0.0
+    for begin, end in zip(begins[long].tolist(), ends[long].tolist(), strict=True):
+        rows = order[begin:end]
+        if len(np.unique(at[begin:end])) < _STICKS or not digit < _FINE * np.nanmin(sigma[rows]):
             continue
-        line = f" from line {table.lines[order[begin]]} on" if table.lines else ""
+        line = f" from line {table.lines[rows[0]]} on" if table.lines else ""
         yield (
             f"{table.file}: {table.headings.get(name, name)} of {sources[of[begin]]} stays the same in {end - begin} "
-            f"rows in a row{line}, at different points, as of a sensor that sticks: leave these rows out"
+            f"rows in a row{line}, at different points, as of a sensor that sticks: leave these rows out, unless it "
+            "was held there"
         )
+
+
+def _last_digit(table: Table, name: str) -> float:
+    """Return the step of the last digit in which a column is written, in its internal unit."""
+    suffix, values = table.headings.get(name, "").removeprefix(f"{name}_"), table.numbers(name)
+    unit = (suffixes("length") | suffixes("angle")).get(suffix)
+    step = 1.0 if unit is None else unit.inside(1.0)
+    written = values[np.isfinite(values)] / step
+    rounding = _ROUNDING * float(np.abs(written).max(initial=0.0))
+    digits = (k for k in range(_DIGITS) if (np.abs(written - np.round(written, k)) <= rounding).all())
+    return step * 10.0 ** -next(digits, _DIGITS)

@@ -258,3 +258,27 @@ def test_a_sensor_that_sticks_is_named(component: int, tmp_path: Path, metrocli:
     heading = ("az_rad", "el_rad", "d_mm")[component]
     text = f"{heading} of S2 stays the same in 6 rows in a row from line {stuck[0] + 2} on, at different points"
     assert ran.code == 6 and text in ran.err and "as far from those that its files list" not in ran.out, ran.out
+
+
+@pytest.mark.parametrize("component", range(3))
+def test_coarse_readings_that_repeat_do_not_stick(component: int, tmp_path: Path, metrocli: Metrocli) -> None:
+    """Points on a circle about a station, or above one another, have readings that the last digit does not tell apart."""
+    net = network(np.random.default_rng(38), 3, 15)
+    step = (1e-4, 1e-4, 0.1)[component]
+    seen = net.seen.copy()
+    same = np.flatnonzero(net.station == 1)[4:10]
+    seen[same, component] = seen[same[0], component]
+    seen[:, component] = np.round(seen[:, component] / step) * step
+    ran = metrocli("adjust-network", replace(net, seen=seen).write(tmp_path))
+    assert ran.code in (0, 6) and "stays the same" not in ran.err + ran.out
+
+
+@pytest.mark.parametrize("component", range(2))
+def test_a_circle_of_a_total_station_that_sticks_is_named(component: int, tmp_path: Path, metrocli: Metrocli) -> None:
+    """Only azimuths and elevations were looked at, and neither circle readings nor zenith distances."""
+    net = network(np.random.default_rng(38), 3, 15)
+    seen = net.seen * [-1.0, -1.0, 1.0] + [0.0, np.pi / 2, 0.0]
+    stuck = np.flatnonzero(net.station == 1)[4:10]
+    seen[stuck, component] = seen[stuck[0], component]
+    ran = metrocli("adjust-network", replace(net, seen=seen).write(tmp_path, header="hz_rad,zd_rad,d_mm"))
+    assert f"{('hz_rad', 'zd_rad')[component]} of S2 stays the same in 6 rows in a row" in ran.err

@@ -241,3 +241,18 @@ def test_it_is_left_out_with_all_its_readings() -> None:
     assert not any("from the other side" in line for line in result.warnings)
     for found, of_right in zip(result.estimates[:2], expected.estimates[:2], strict=True):
         assert abs(found.value - of_right.value) < 3 * found.std
+
+
+@pytest.mark.parametrize("convention", ["forward", "fisheye"])
+def test_a_job_that_fails_before_its_adjustment_has_its_files_tried(convention: str) -> None:
+    """What looks for mirrored images failed as the job did, and no correction of a file was tried."""
+    job = measured(2, wrong=False)
+    seen = job.files.observations
+    assert seen is not None
+    outside = Table({**seen.columns, "v": 2 * seen.numbers("v")}, seen.units)
+    camera = replace(job.settings.camera, convention=convention)
+    settings, files = replace(job.settings, camera=camera), replace(job.files, observations=outside)
+    spoilt = replace(job, settings=settings, files=files)
+    with pytest.raises(InputError, match="lie outside an image"):
+        calibrate_camera.run(spoilt)
+    assert calibrate_camera.TASK.others(spoilt, np.inf) == []

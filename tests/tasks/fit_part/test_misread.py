@@ -145,4 +145,14 @@ def test_a_target_outside_the_part_is_named(axis: int, tmp_path: Path, metrocli:
     off = made.targets.copy()
     off[2, axis] += 2500.0
     ran = metrocli("fit-part", replace(made, targets=off).write(tmp_path))
-    assert ran.code == 6 and "targets lie outside the part: T2 by" in ran.out, ran.out
+    assert ran.code == 6 and "targets lie far outside the part: T2 by" in ran.out, ran.out
+
+
+@pytest.mark.parametrize("chosen", [slice(6), slice(2, 3)])
+def test_a_target_on_a_fixture_beside_the_part_is_not_wrong(chosen: slice, tmp_path: Path, metrocli: Metrocli) -> None:
+    """It made the fit doubtful, also where it was the only one."""
+    made = casting(72)
+    beside = made.targets.copy()
+    beside[2] = made.points.mean(axis=0) + [1350.0, 0.0, 0.0]
+    ran = metrocli("fit-part", replace(made, targets=beside[chosen]).write(tmp_path))
+    assert ran.code == 0 and "outside" not in ran.out + ran.err, ran.out

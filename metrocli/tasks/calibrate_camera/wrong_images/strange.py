@@ -32,7 +32,7 @@ _AN_IMAGE = 4
 """Fewest points of an image that may show it mirrored"""
 _LOST = 0.003
 """Median residual, as a share of the longer side of the image, beyond which lens and poses were not found"""
-_FEW_VIEWS, _FEW_TARGETS = 2, 1 / 3
+FEW_VIEWS, _FEW_TARGETS = 2, 1 / 3
 """So many images contradict no listed place of a target, and others place a larger share of the targets than this"""
 _STEP, _FEW_POINTS = 1.0, 0.05
 """A point farther from the view of the others, in steps of the board, is wrong, if no larger share of an image is"""
@@ -121,7 +121,7 @@ def _elsewhere(seen: Sequence[_SeenBoard]) -> dict[int, Array]:
     target, fitting = (np.concatenate([getattr(board, name) for board in fits]) for name in ("target", "fitting"))
     places, count, off = np.concatenate([board.places for board in fits]), np.bincount(target), ~fitting
     missed = np.bincount(target[off], minlength=len(count))
-    wrong = np.flatnonzero((2 * missed > count) & (missed > _FEW_VIEWS)).tolist()
+    wrong = np.flatnonzero((2 * missed > count) & (missed > FEW_VIEWS)).tolist()
     if len(wrong) > _FEW_TARGETS * (count > 0).sum():
         return {}
     return {one: np.median(places[off & (target == one)], axis=0) for one in wrong}
