@@ -90,7 +90,8 @@ def test_propagation(case: dict[str, Any], tmp_path: Path) -> None:
         if "gum_valid" in expected:
             verdict = {
                 **job(case, 0.95),
-                "monte_carlo": {"trials": 1000000, "seed": 1, "digits": expected["gum_valid"]["ndig"]},
+                # the ends of 9.2.3 differ by 0.0406 where 0.05 is allowed: fewer trials do not decide that
+                "monte_carlo": {"trials": 4000000, "seed": 1, "digits": expected["gum_valid"]["ndig"]},
             }
             assert carry_out(tmp_path, verdict, "verdict").details(name)["gum_valid"] is expected["gum_valid"]["valid"]
 
