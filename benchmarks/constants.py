@@ -84,8 +84,8 @@ def numbers() -> Iterator[Number]:
             if not isinstance(statement, ast.Assign):
                 continue
             targets = statement.targets[0]
-            names = [one.id for one in ast.walk(targets) if isinstance(one, ast.Name)]
-            for name in (one for one in names if one.isupper() and "SEED" not in one):
+            names = [node.id for node in ast.walk(targets) if isinstance(node, ast.Name)]
+            for name in (name for name in names if name.isupper() and "SEED" not in name):
                 value = getattr(sys.modules[module], name)
                 if isinstance(value, int | float):
                     yield Number(module, name, None, value)
@@ -95,10 +95,10 @@ def numbers() -> Iterator[Number]:
 
 def jobs(every: int, folder: Path) -> Jobs:
     """Return what is diagnosed, by its name: adjusted once."""
-    found = {f"{kind}/{one.name}": one / "job.yaml" for kind in KINDS for one in folders(kind)[2::every]}
-    for board in (one for one in BOARDS[:BOARDS_TAKEN] if one.folder.is_dir()):
-        found[board.name] = board.job(folder / board.name, board.read(folder), LENS)
-    return {name: adjusted_job_of(load(path)) for name, path in found.items()}
+    files = {f"{kind}/{case.name}": case / "job.yaml" for kind in KINDS for case in folders(kind)[2::every]}
+    for board in (board for board in BOARDS[:BOARDS_TAKEN] if board.folder.is_dir()):
+        files[board.name] = board.job(folder / board.name, board.read(folder), LENS)
+    return {name: adjusted_job_of(load(path)) for name, path in files.items()}
 
 
 def answer(job: AdjustedJob) -> str:
@@ -136,7 +136,7 @@ def changed(number: Number, factor: float, all_jobs: Jobs, before: dict[str, str
 def main(arguments: list[str]) -> int:
     """Print which numbers change an answer; the exit code is 0 whatever they are."""
     words = [word for word in arguments if not word.isdecimal()]
-    count = next((int(word) for word in arguments if word.isdecimal()), EVERY)
+    count = max(next((int(word) for word in arguments if word.isdecimal()), EVERY), 1)
     with tempfile.TemporaryDirectory() as folder:
         every = jobs(count, Path(folder))
         start = time.process_time()

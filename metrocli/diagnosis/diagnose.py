@@ -261,17 +261,19 @@ def _left(
 def _misfit(state: State, gain: Gain | None) -> float | None:
     """Return the squares of errors that what is left is compared with, those before all that is identified.
 
-    An extended job has its effects in the model: then it is compared with the errors that it has with them. One that
-    states correlated errors alone has nothing identified; what is little beside these is no reason to doubt it.
+    An extended job has its effects in the model: then it is compared with the errors that it has with them. Where it
+    has correlated errors alone, what is left has to be little beside these, too.
     """
+    least = np.inf
     if gain is None:
         m = state.measurement
         stated = [added.std for added in m.job.model.added if added.effect.name == CORRELATED_ERROR]
-        if len(m.job.model.added) - len(stated) > len(m.job.standing):
-            gain = gain_between(state, state)
-        elif stated and len(m.system.rows_in_units) == 1:
-            return max(stated) ** 2
-    return gain.before**2 if gain is not None and gain.before else None
+        if len(m.job.model.added) - len(stated) <= len(m.job.standing):
+            if not stated or len(m.system.rows_in_units) > 1:  # errors of several units have no common size
+                return None
+            least = max(stated) ** 2
+        gain = gain_between(state, state)
+    return min(gain.before**2, least) if gain.before else None
 
 
 def _shares(size: float, misfit: float | None, smooth: float) -> tuple[float | None, float]:

@@ -256,7 +256,8 @@ def _called(node: ast.Call, start: int) -> tuple[str, list[ast.expr]]:
     if name in _OF_ANGLES and isinstance(number, ast.Constant) and abs(_finite(number, start)) > 2 * math.pi:
         written = ast.unparse(angle)
         text = f"{name} takes radians, and {written} is more than a turn"
-        raise ExpressionError(text, start, f"write {name}({written}*pi/180) for degrees")
+        hint = f"write {name}({written}*pi/180) for degrees, {name}({written}-2*pi) for radians"
+        raise ExpressionError(text, start, hint)
     return name, node.args
 
 

@@ -150,7 +150,7 @@ def test_columns_that_give_way_to_others_are_made_again(monkeypatch: pytest.Monk
     number = next(i for i in range(len(m.knots)) if len(m.lengths(i)) > 1)
     parts = [m.correlated(number, length, -1) for length in m.lengths(number)[:2]]
     states = [State.of(m, random=[part], logs=[0.5]) for part in parts]
-    monkeypatch.setattr(products, "MOST_FOUND", max(part.columns.size for part in parts))
+    monkeypatch.setattr(products, "MOST_OF_STATE", max(part.columns.size for part in parts))
     m = measurement_of(job(60))
     again = [State.of(m, random=[part], logs=[0.5]) for part in (*parts, *parts)]
     assert [state.score for state in again] == [state.score for state in (*states, *states)]
@@ -165,8 +165,8 @@ def test_errors_for_whose_columns_there_is_no_room_are_not_sought(monkeypatch: p
     m = replace(m, system=replace(m.system, residual=m.system.seen(9 * t @ rng.normal(size=t.shape[1]))), cache={})
     assert any(error.key[2] < 0 for error in variances.correlated_errors(State.of(m), set()))
     # room for an error of one tracer, not for one of each
-    monkeypatch.setattr(variances, "MOST_FOUND", t.size // 6)
+    monkeypatch.setattr(variances, "MOST_OF_STATE", t.size // 6)
     errors = variances.correlated_errors(State.of(m), set())
     assert errors and all(error.key[2] >= 0 for error in errors if m.knots[error.key[0]].functions.count > 1)
-    monkeypatch.setattr(variances, "MOST_FOUND", 0)
+    monkeypatch.setattr(variances, "MOST_OF_STATE", 0)
     assert not variances.correlated_errors(State.of(m), set())

@@ -231,5 +231,6 @@ def test_degrees_in_a_sine_are_refused() -> None:
     for angle in ("-30", "30.1234567"):
         with pytest.raises(ExpressionError) as caught:
             parse(f"1 + sin({angle})")
-        assert caught.value.hint == f"write sin({angle}*pi/180) for degrees"
+        assert caught.value.hint == f"write sin({angle}*pi/180) for degrees, sin({angle}-2*pi) for radians"
+        assert parse(f"sin({angle}-2*pi)")
     assert parse("sin(30*pi/180) + sin(0.5) + exp(30)")

@@ -17,7 +17,7 @@ from metrocli.diagnosis.evidence.likelihood import Products
 from metrocli.diagnosis.evidence.measurement import Measurement
 from metrocli.diagnosis.evidence.parts import Fixed, Random
 from metrocli.diagnosis.linear.basis import Columns
-from metrocli.diagnosis.linear.projection import MOST_FOUND
+from metrocli.diagnosis.linear.projection import MOST_OF_STATE
 
 KeyedColumns = tuple[object, Array]
 """Columns (rows, k) of a part of a state, with the key by which their products are cached"""
@@ -64,7 +64,7 @@ def _held(m: Measurement, parts: Sequence[KeyedColumns], without: Callable[[Arra
     m.columns.update((key, held[key]) for key, _ in parts)
     count = sum(columns.size for columns in m.columns.values())
     for key in older:
-        if count <= MOST_FOUND:
+        if count <= MOST_OF_STATE:
             break
         count -= m.columns.pop(key).size
     return [(key, held[key]) for key, _ in parts]

@@ -17,7 +17,7 @@ from metrocli.diagnosis.evidence.measurement import LENGTHS, Measurement
 from metrocli.diagnosis.evidence.parts import CORRELATED, LARGEST, SCATTER, Random
 from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.linear.basis import thin, without_gathering
-from metrocli.diagnosis.linear.projection import MOST_FOUND
+from metrocli.diagnosis.linear.projection import MOST_OF_STATE
 from metrocli.diagnosis.noise import DECLARED_SIGMA
 from metrocli.frozen import dataclass
 
@@ -145,7 +145,7 @@ def correlated_errors(state: State, quiet: set[int], most: int = 3) -> list[Foun
     """
     m, scale = state.measurement, state.fit.dof / state.fit.squares
     taken = [*(part.columns.shape[1] for part in state.random), *(part.rank for part in state.fixed)]
-    room = MOST_FOUND // m.system.rows - sum(taken)
+    room = MOST_OF_STATE // m.system.rows - sum(taken)
     present = {part.key for part in state.random if part.kind == CORRELATED}
     scored: list[tuple[float, tuple[int, int, int], Array, Array]] = []
     for number, own in enumerate(m.knots):

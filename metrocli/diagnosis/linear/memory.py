@@ -18,7 +18,7 @@ import numpy.typing as npt
 from metrocli.adjust.model.observations import Mask
 from metrocli.diagnosis.adjusted_job import AdjustedJob, MemberSubset
 from metrocli.diagnosis.linear.linearised import local_members, shared_unknowns
-from metrocli.diagnosis.linear.projection import MOST_FOUND, MOST_NUMBERS
+from metrocli.diagnosis.linear.projection import MOST_NUMBERS, MOST_OF_STATE
 from metrocli.diagnosis.linear.scans import most_tried
 from metrocli.effects.effect import Effect
 from metrocli.effects.model import Model
@@ -30,8 +30,8 @@ _FIXED = 0.3e9
 """What it takes for few readings: noise that is drawn, samples, modules [bytes]"""
 _COPIES, _HELD = 14, 8.75
 """How many copies of the derivatives by the shared unknowns, and of the columns of candidates, are held at once"""
-_FOUND, _COPIES_OF_FOUND = 400, 5
-"""Columns of what is found in a measurement with much structure, if there is room for them, and copies of them"""
+_OF_STATE, _COPIES_OF_STATE = 400, 5
+"""Columns of the parts of a state with much structure, if there is room for them, and copies of them"""
 _FEWEST = 200
 """Fewest members of a part: of fewer, what they show would depend on which were drawn"""
 _SEED = 22
@@ -116,13 +116,13 @@ def needed(job: AdjustedJob) -> float:
     """Return the memory that a diagnosis takes at its largest, `f + 8 (n (14 u + 8.75 k) + 5 min(400 n, m))` [bytes].
 
     n are the rows, u the shared unknowns, k the columns of candidates that change a row; f is for few readings, m the
-    largest number of elements of what is found. The factors are those of measured networks of 3,000 to 100,000 points
-    with much structure.
+    largest number of elements of the columns of a state. The factors are those of measured networks of 3,000 to 100,000
+    points with much structure.
     """
     rows = sum(group.observations.readings.size for group in job.model.groups)
     columns = _columns_of_effects(job, rows)
-    found = _COPIES_OF_FOUND * min(_FOUND * rows, MOST_FOUND)
-    return float(_FIXED + 8.0 * (rows * (_COPIES * shared_unknowns(job.model) + _HELD * columns) + found))
+    of_state = _COPIES_OF_STATE * min(_OF_STATE * rows, MOST_OF_STATE)
+    return float(_FIXED + 8.0 * (rows * (_COPIES * shared_unknowns(job.model) + _HELD * columns) + of_state))
 
 
 def _columns_of_effects(job: AdjustedJob, rows: int) -> int:

@@ -34,8 +34,8 @@ FLAT = 1e-8
 """Smallest eigenvalue of a Gram matrix, relative to the largest, of a visible direction of the parameters"""
 MOST_NUMBERS = 60_000_000
 """Largest number of elements of the shared derivatives, and of the columns that are fitted beside them"""
-MOST_FOUND = MOST_NUMBERS // 2
-"""That of the columns of correlated errors and effects that explain the residuals: more copies of them are held"""
+MOST_OF_STATE = MOST_NUMBERS // 2
+"""That of the columns of a state, a further correlated error included: more copies of these are held"""
 
 
 @dataclass(frozen=True)

@@ -229,5 +229,6 @@ def why_not(
     near = too_near(problem, adjusted, settings.pixel_size)
     held = held_doubts(problem, settings, adjusted)
     turned = [] if lost or smooth else turned_images(problem, adjusted)
-    astray = [] if lost else misplaced(problem, adjusted)
-    return [*turned, *lost, *astray, *smooth, *(centre.doubts() if centre is not None else []), *held, *near, *folded]
+    elsewhere = [] if lost else misplaced(problem, adjusted)
+    of_centre = centre.doubts() if centre is not None else []
+    return [*turned, *lost, *elsewhere, *smooth, *of_centre, *held, *near, *folded]

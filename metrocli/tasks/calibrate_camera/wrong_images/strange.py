@@ -124,7 +124,7 @@ def _elsewhere(seen: Sequence[_SeenBoard]) -> dict[int, Array]:
     wrong = np.flatnonzero((2 * missed > count) & (missed > FEW_VIEWS)).tolist()
     if len(wrong) > _FEW_TARGETS * (count > 0).sum():
         return {}
-    return {one: np.median(places[off & (target == one)], axis=0) for one in wrong}
+    return {number: np.median(places[off & (target == number)], axis=0) for number in wrong}
 
 
 def _places(problem: CameraProblem, places: Mapping[int, Array]) -> str:
@@ -169,9 +169,9 @@ def not_found(problem: CameraProblem, images: Group, residuals: Array) -> list[s
     """
     off, most = np.hypot(*residuals), max(problem.image_size)
     typical, view = float(np.median(off)), images.observations.index[camera.VIEW]
-    astray = typical > _LOST * most
-    strange = strange_images(problem, images, None if astray else residuals)
-    if astray and not strange:
+    all_are_off = typical > _LOST * most
+    strange = strange_images(problem, images, None if all_are_off else residuals)
+    if all_are_off and not strange:
         network = problem.rig == "network"
         closer = "closer places of the targets, or their right names" if network else "the right names of targets"
         return [
