@@ -30,8 +30,6 @@ KINDS = (
     "multilaterate", "locate-launch-unit", "align-part", "calibrate-camera", "calibrate-machine", "selfcal-grid",
     "rotary",
 )  # fmt: skip
-BAD_POSE = "locate-launch-unit/013"
-"""Its bad pose shows in the distance only: a wrong distance is as good a name"""
 
 
 def folders(kind: str) -> list[Path]:
