@@ -83,8 +83,8 @@ def diagnose(
     state, names, gained, unconfirmed = _confirmed(state, ordered, quick)
     kept = readings_kept(state.measurement, state.readings)
     # the job of the first round: in that of the last one, effects on its own blocks stand at a fixed size
-    fit = extended_fit(first.measurement.job, names, kept) if names else None
-    # to first order in a quick diagnosis: each takes an adjustment
+    # neither in a quick diagnosis, whose changes of the result are to first order: each takes an adjustment
+    fit = extended_fit(first.measurement.job, names, kept) if names and not quick else None
     shifts = [None] * len(names) if quick else result_changes(first.measurement.job, names, fit, kept)
     correlated, scattered = correlated_errors(state), random_effects(state)
     parts: list[Fixed | Random] = [*state.named, *(part for part in state.random if part.kind == SCATTER)]
@@ -106,7 +106,7 @@ def diagnose(
         after=strongest(state),
         design=Detectability((), (), ()) if quick else design(state, noise.ratio, stood_for(laws)),
         separate_by=separations(state.measurement.job, rivals),
-        adjusts=fit is not None or not names,
+        adjusts=quick or fit is not None or not names,
         together=gained[-1] if len(names) > 1 else None,
         whole=whole,
         scatters=scattered,

@@ -207,7 +207,7 @@ def _terms_instead(less: State, key: tuple[int, ...] | None) -> list[Fixed]:
     # without random effects: a smooth shift over the image would take what the terms differ in
     m, scored = less.measurement, list[tuple[float, int, int]]()
     alone = State.of(m, less.named)
-    for family in range(len(m.families)):
+    for family in (number for number, group in enumerate(m.families) if not group.unknown):
         gain, price, _ = alone.gains_of_family(family)
         scored += [(float(net), family, at) for at, net in enumerate(gain - price)]
     scored = [one for one in scored if m.alternative(one[1:]).effect.link is None]

@@ -11,10 +11,12 @@ from benchmarks.hidden import images
 from benchmarks.hidden.scenes import board_scene
 from metrocli.diagnosis.evidence.measured_job import measurement_of
 from metrocli.diagnosis.evidence.moves import Move
-from metrocli.diagnosis.evidence.parts import CORRELATED, SCATTER
+from metrocli.diagnosis.evidence.parts import CORRELATED, EFFECT, SCATTER
 from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.evidence.variances import Found, scattered_effects
 from metrocli.diagnosis.explanations import not_confirmed, with_confirmed
+from metrocli.diagnosis.rounds import _terms_instead
+from tests.diagnosis.evidence.test_dense import with_residual
 
 
 @pytest.mark.parametrize("seed", [0, 3, 6])
@@ -43,3 +45,18 @@ def test_an_effect_at_all_its_places_is_not_like_an_error_with_its_number() -> N
     error = Move(1.0, entering=Found(1.0, CORRELATED, found.key, found.log))
     assert not error.is_like(found.part(m))
     assert Move(1.0, entering=found).is_like(found.part(m))
+
+
+def test_a_wave_that_nothing_names_is_tried_in_place_of_no_term_of_a_lens(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It stands in the state already: tried once more, its columns would enter twice."""
+    rng = np.random.default_rng(23)
+    m = measurement_of(images.read(board_scene(rng, 8, (5, 4)), rng).adjusted(), quick=True)
+    at = next(number for number, family in enumerate(m.families) if family.unknown)
+    term = next(n for n, family in enumerate(m.families) if family.alternatives[0].effect.name == "thin-prism")
+    columns = [m.families[family].columns.whole([0], m.system.rows)[:, 0].sum(axis=1) for family in (at, term)]
+    # the poses of a board take most of a wave: one that shows is larger than a wave may be
+    monkeypatch.setattr("metrocli.diagnosis.evidence.state.LARGEST", 20.0)
+    m = with_residual(m, sum(30 * m.system.seen(shape) / np.linalg.norm(m.system.seen(shape)) for shape in columns))
+    state = State.of(m, [m.effect(at, 0), m.effect(term, 0)])
+    instead = _terms_instead(state.minus([state.fixed[1]]), (term, 0))
+    assert instead and all(part.sort == EFFECT for part in instead)
