@@ -171,14 +171,10 @@ class FieldSolution:
         """Return the residuals of each group, with redundancy and Baarda's w."""
         redundancy, at, parts = self.design.redundancy(), 0, []
         for group in self.solution.groups:
-            observations = group.observations
             values = group.residuals(self.solution.blocks)
             share = redundancy[at : at + values.size].reshape(values.shape)
             at += values.size
-            controlled = share > 1e-6
-            root = np.sqrt(np.where(controlled, share, 1.0))
-            normalised = np.where(controlled, observations.whitened(values) / root, 0.0)
-            parts.append(Residuals(values, observations.stds, share, normalised))
+            parts.append(Residuals.of(group.observations, values, share))
         return tuple(parts)
 
 

@@ -114,11 +114,7 @@ def open_frame(
     `diagonal` (width,) is that of the normal matrix before its reduction.
     """
     moves = datum.of(blocks)
-    full = np.zeros((layout.width, len(datum.names)))
-    for name, move in moves.items():
-        columns = layout.columns.get(name)
-        if columns is not None:
-            full[columns[columns >= 0]] = move.at(blocks[name].values, np.arange(len(columns)))[columns >= 0]
+    full = placed_movements(moves, blocks, layout, len(datum.names))
     mix = _open(full, matrix, diagonal)
     if not mix.size:
         return None
@@ -126,6 +122,16 @@ def open_frame(
     mixed = {name: move.mixed(mix) for name, move in moves.items()}
     amounts = _amounts(datum, blocks[datum.block], reference, mixed[datum.block])
     return Frame(datum, full @ mix, mixed, reference, amounts)
+
+
+def placed_movements(moves: Mapping[str, Movement], blocks: Mapping[str, Block], layout: Layout, count: int) -> Array:
+    """Return the changes of the unknowns of a layout by so many movements, (width, count)."""
+    full = np.zeros((layout.width, count))
+    for name, move in moves.items():
+        columns = layout.columns.get(name)
+        if columns is not None:
+            full[columns[columns >= 0]] = move.at(blocks[name].values, np.arange(len(columns)))[columns >= 0]
+    return full
 
 
 def _open(full: Array, matrix: Array, diagonal: Array) -> Array:

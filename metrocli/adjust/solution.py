@@ -8,6 +8,7 @@ import numpy as np
 
 from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.groups import Group, Touch, rows_of
+from metrocli.adjust.model.observations import Observations
 from metrocli.adjust.outcome import Combination, Outcome
 from metrocli.adjust.probabilities import chi_square_tail
 from metrocli.adjust.schur.covariance import Covariance
@@ -108,6 +109,15 @@ class Residuals:
     normalised: Array
     """Baarda's w = v / (sigma sqrt(redundancy)), 0 where the reading is uncontrolled, (d, n)"""
 
+    @classmethod
+    def of(cls, observations: Observations, values: Array, redundancy: Array) -> Residuals:
+        """Return the residuals of some observations with their tests, from values and redundancies, (d, n) each."""
+        # below it the root of the redundancy is rounding, and w would be noise of any size
+        controlled = redundancy > 1e-6
+        root = np.sqrt(np.where(controlled, redundancy, 1.0))
+        normalised = np.where(controlled, observations.whitened(values) / root, 0.0)
+        return cls(values, observations.stds, redundancy, normalised)
+
 
 def residuals_of(solution: Solution, group: Group) -> Residuals:
     """Return residuals, redundancy numbers `r = 1 - diag(J Q J')` and w-tests of one group (Baarda 1968).
@@ -115,12 +125,7 @@ def residuals_of(solution: Solution, group: Group) -> Residuals:
     For correlated components all four refer to the decorrelated (whitened) components.
     """
     values, explained = _adjusted(solution, group)
-    whitened = group.observations.whitened(values)
-    redundancy = np.clip(1 - explained, 0.0, 1.0)
-    # below it the root of the redundancy is rounding, and w would be noise of any size
-    controlled = redundancy > 1e-6
-    normalised = np.where(controlled, whitened / np.sqrt(np.where(controlled, redundancy, 1.0)), 0.0)
-    return Residuals(values, group.observations.stds, redundancy, normalised)
+    return Residuals.of(group.observations, values, np.clip(1 - explained, 0.0, 1.0))
 
 
 def _adjusted(solution: Solution, group: Group) -> tuple[Array, Array]:

@@ -88,10 +88,8 @@ class MemberSubset:
 class Budget:
     """CPU time of a search in the thread that made it: when it is spent, the search ends with what it has found."""
 
-    def __init__(self, seconds: float = math.inf, whole: Budget | None = None) -> None:
+    def __init__(self, seconds: float = math.inf) -> None:
         self.seconds = seconds
-        self.whole = whole
-        """The budget that it is a part of; an interruption of that one interrupts this one too"""
         self.ended = False
         """Whether a search ended because of it"""
         self.interrupted = False
@@ -104,7 +102,7 @@ class Budget:
 
     def spent(self) -> bool:
         """Return whether the time is spent or the search interrupted; `ended` remembers the former."""
-        if self.interrupted or (self.whole is not None and self.whole.interrupted):
+        if self.interrupted:
             return True
         self.ended = self.ended or self.left() <= 0
         return self.ended

@@ -77,8 +77,7 @@ def diagnose(
         laws: tuple[Law, ...] = ()
         if not quick:
             progress.doing("looking for a law in what no effect explains", job.budget.left())
-            result = with_laws(state, _in_white_noise(state), ordered)
-            state, laws = result.state, result.laws
+            state, laws = with_laws(state, _in_white_noise(state), ordered)
     progress.doing("cross-validating: predicting parts of the readings from the others", job.budget.left())
     state, names, gained, unconfirmed = _confirmed(state, ordered, quick)
     kept = readings_kept(state.measurement, state.readings)

@@ -64,13 +64,10 @@ def _random_effect(state: State, number: int) -> RandomEffect:
 
 def _as_likely(state: State, less: State) -> tuple[Instead, ...]:
     """Return the noise of a group of readings that explains as much as a random effect, of which `less` is without."""
-    candidates = []
-    for number, (key, name, _) in enumerate(state.measurement.units):
+    candidates = list[Instead]()
+    for number, (key, _, _) in enumerate(state.measurement.units):
         if key == READING and number not in state.measurement.noise:
-            ahead = tried_noise(less, {number: less.ratio_of(number)}).score - state.score
-            if ahead > -ALIKE:
-                # exp overflows above 709
-                candidates.append(Instead("noise", {READING: name}, float(np.exp(min(ahead, 700.0)))))
+            candidates += _as_noise(state, less, number, less.ratio_of(number))
     return tuple(candidates)
 
 
@@ -85,10 +82,18 @@ def noise_instead(state: State, part: Fixed) -> tuple[Instead, ...]:
         if where.get(key) == name and rows.sum() <= _MOST_ROWS * part.rank and number not in m.noise:
             less = state.minus([part])
             # at least the ratio from which a noise is reported: a smaller one is that of all readings, and no answer
-            ahead = tried_noise(less, {number: max(less.ratio_of(number), AS_OTHERS)}).score - state.score
-            if ahead > -ALIKE:
-                noises.append(Instead("noise", {key: name}, float(np.exp(min(ahead, 700.0)))))
+            noises += _as_noise(state, less, number, max(less.ratio_of(number), AS_OTHERS))
     return tuple(noises)
+
+
+def _as_noise(state: State, less: State, number: int, ratio: float) -> list[Instead]:
+    """Return the noise of a variance group if it explains as much, at a ratio, as the part that `less` is without."""
+    ahead = tried_noise(less, {number: ratio}).score - state.score
+    if ahead <= -ALIKE:
+        return []
+    key, name, _ = state.measurement.units[number]
+    # exp overflows above 709
+    return [Instead("noise", {key: name}, float(np.exp(min(ahead, 700.0))))]
 
 
 def relative_spread(state: State, number: int) -> float:
@@ -110,7 +115,9 @@ def _correlated(state: State, number: int) -> CorrelatedError:
     gain = state.score + component.price - less.score
     without = (move for move in effects(less) if move.net > 0)
     functions = m.knots[component.key[0]].functions
-    unit, rows = _showing(state, less, component)
+    own = component.columns.any(axis=1)
+    unit, of_unit = m.system.showing(np.where(own, less.residual - state.residual, 0.0))
+    rows = of_unit & own
     visible = _visible(state, component)
     std = float(np.sqrt(np.exp(state.logs[number]) * state.fit.squares / state.fit.dof)) * functions.sigmas[unit]
     if len(functions.sigmas) > 1:
@@ -134,14 +141,6 @@ def _correlated(state: State, number: int) -> CorrelatedError:
         place,
         tuple(m.alternative(part.key) for move in without for part in move.fixed if part.sort == EFFECT),
     )
-
-
-def _showing(state: State, less: State, part: Random) -> tuple[str, Mask]:
-    """Return the unit of the readings that show most of a part, which `less` is without, and their rows."""
-    own = part.columns.any(axis=1)
-    rows = {unit: mask & own for unit, mask in state.measurement.system.rows_in_units.items()}
-    change = less.residual - state.residual
-    return max(rows.items(), key=lambda unit_rows: float((change[unit_rows[1]] ** 2).sum()))
 
 
 def _visible_at(state: State, part: Random, rows: Mask) -> float:

@@ -125,7 +125,7 @@ def linear_change(job: AdjustedJob, system: Linearised, name: IdentifiedEffect) 
     """Return the largest change of the delivered result by an effect, to first order."""
     alternative = name.alternative
     full = signature(job.model, system, alternative.effect, alternative.instance, dict(alternative.scanned))
-    change = (full @ name.values)[:, None]
+    change = system.absorbed((full @ name.values)[:, None])
     shift = job.delivered.of(lambda block: system.shift(change, block, job.delivered.columns))
     return float(np.sqrt((shift**2).sum(axis=(1, 2)).max(initial=0.0)))
 
@@ -199,9 +199,8 @@ def readings_kept(m: Measurement, wrong: Iterable[Fixed]) -> dict[str, Mask]:
     for part in wrong:
         out[m.places[part.number][m.places[part.number] >= 0]] = True
     for group in m.job.model.readings:
-        d, n = group.observations.readings.shape
-        start = m.system.first[group.name]
-        kept[group.name] = np.asarray(~out[start : start + n * d].reshape(n, d).any(axis=1))
+        by_reading = out[m.system.stretch(group)].reshape(-1, len(group.observations.readings))
+        kept[group.name] = np.asarray(~by_reading.any(axis=1))
     return kept
 
 
@@ -212,7 +211,6 @@ def with_group_noise(job: AdjustedJob, m: Measurement, ratios: Mapping[int, floa
         factor[m.units[number][2]] *= ratio
     model = job.model
     for group in model.readings if ratios else ():
-        d, n = group.observations.readings.shape
-        start = m.system.first[group.name]
-        model = model.with_group(group.with_noise_times(factor[start : start + n * d].reshape(n, d).T))
+        by_reading = factor[m.system.stretch(group)].reshape(-1, len(group.observations.readings))
+        model = model.with_group(group.with_noise_times(by_reading.T))
     return replace(job, model=model)

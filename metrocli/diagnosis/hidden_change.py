@@ -156,15 +156,7 @@ def _plausible(alternative: Candidate) -> Array:
 def _shifts(job: AdjustedJob, system: Linearised, absorbed: Array) -> Array:
     """Return the change of the delivered members by unit parameters, (members, columns, alternatives, parameters)."""
     change = system.solver.change(absorbed)
-
-    def moved(name: str) -> Array:
-        places = system.entries(name)[:, list(job.delivered.columns)]
-        shifts = change[np.maximum(places, 0)]
-        # held entries have no place among the unknowns, and do not move
-        shifts[places < 0] = 0.0
-        return np.asarray(shifts)
-
-    return job.delivered.of(moved)
+    return job.delivered.of(lambda block: system.shift(change, block, job.delivered.columns))
 
 
 def _without_moves(job: AdjustedJob, alternatives: Sequence[Candidate], scale: Array, shift: Array) -> None:

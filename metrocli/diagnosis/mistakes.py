@@ -106,14 +106,6 @@ def _corrected(trials: Iterable[Trial], before: Misfit, failure: MetrocliError |
     return Mistaken(tuple(mistake for _, mistake, _ in alike), best, before.worst, after)
 
 
-def misfit_ratio(job: AdjustedJob) -> float:
-    """Return how far a job is beyond the plausible: by its median residual, or by its places compared with the files.
-
-    Above 1 it is absurd.
-    """
-    return misfit_of(job).worst
-
-
 def _readings_of(
     inputs: Inputs, adjust: Adjust, others: Others, unplaced: Collection[str], failure: MetrocliError | None
 ) -> Iterator[tuple[Mistake, Callable[[], AdjustedJob]]]:

@@ -125,18 +125,19 @@ def reason(candidate: DetectableCandidate, word: str, structure: Sequence[str] =
     if word == Status.NOT_DECIDED:
         return UNCONFIRMED if candidate.required else BY_LAW if candidate.by_law else ENDED
     size, unit = parameter.readable(excluded_above(candidate))
+    shown = f"{size:.3g} {unit}".strip()
     if word == Status.CANNOT_SEE and is_swallowed(candidate):
         what = f"structure in {' and '.join(structure)}" if structure else "what was found"
-        return f"cannot be separated from {what}: sizes up to {f'{size:.3g} {unit}'.strip()} are possible"
+        return f"cannot be separated from {what}: sizes up to {shown} are possible"
     if word == Status.CANNOT_SEE and candidate.missed:
         name = effect.scanned[0].name
         return f"missed between values of {name}, which are further apart than the readings tell: scan a smaller range"
     if word == Status.CANNOT_SEE and candidate.nonlinear:
-        return f"not linear at sizes such as {f'{size:.3g} {unit}'.strip()}: estimate it (`effects:`) to decide"
+        return f"not linear at sizes such as {shown}: estimate it (`effects:`) to decide"
     if word == Status.CANNOT_SEE:
         hides = f"what it hides is for {parameter.sized(candidate.assumed)}"
-        return f"detected from {f'{size:.3g} {unit}'.strip()} on; {seen_in_words(candidate)}; {hides}"
-    return "" if word == Status.NAMED else f"excluded above {f'{size:.3g} {unit}'.strip()}; {seen_in_words(candidate)}"
+        return f"detected from {shown} on; {seen_in_words(candidate)}; {hides}"
+    return "" if word == Status.NAMED else f"excluded above {shown}; {seen_in_words(candidate)}"
 
 
 def seen_in_words(candidate: DetectableCandidate) -> str:

@@ -30,7 +30,7 @@ class Mistaken:
     mistakes: tuple[Mistake, ...]
     job: AdjustedJob
     before: float
-    """`misfit_ratio` of the job with the mistake, inf if it failed"""
+    """`Misfit.worst` of the job with the mistake, inf if it failed"""
     after: float
     left_out: int = 0
     """Readings that the job with the mistake left out as outliers"""

@@ -16,7 +16,7 @@ from metrocli import units
 from metrocli.adjust.model.chain import LinkContext, Step
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.quantities import AtQuantity
-from metrocli.arrays import Array, Index
+from metrocli.arrays import Array
 from metrocli.effects.covariates import (
     Covariate,
     Covariates,
@@ -117,7 +117,7 @@ def _misplaced(model: Model, error: StatedCorrelation, known: Mapping[str, Covar
 
 def _with_error(model: Model, error: StatedCorrelation, covariate: Covariate, node: Node) -> tuple[Model, list[Fault]]:
     groups = [group for group in model.readings if group.name in covariate.values]
-    labels = [_labels(model, group, error.by) for group in groups]
+    labels = [model.units_in(group, error.by) for group in groups]
     smooth = smooth_functions(covariate, groups, labels, len(model.places[error.by].names) if error.by else 1)
     if smooth is None:
         words = f"correlated: too few readings{f' of each {error.by}' if error.by else ''} for an error over this"
@@ -137,12 +137,6 @@ def _with_error(model: Model, error: StatedCorrelation, covariate: Covariate, no
         basis = np.einsum("nm,nmk->kn", values, turn[numbers])
         model = _with_group(model, group.name, error, basis, std)
     return model, []
-
-
-def _labels(model: Model, group: Group, by: str) -> Index:
-    """Return the number of the unit of each reading of a group, (n,)."""
-    index = group.observations.index.get(model.places[by].index) if by else None
-    return np.zeros(group.observations.count, dtype=np.intp) if index is None else index
 
 
 def _stds(text: str, groups: Sequence[Group]) -> list[float] | None:

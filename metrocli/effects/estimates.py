@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import Protocol
+from collections.abc import Iterable, Iterator, Sequence
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
@@ -17,26 +17,11 @@ from metrocli.effects.model import Added, Model
 from metrocli.result import Estimate
 from metrocli.table import Table
 
+if TYPE_CHECKING:
+    from metrocli.adjust.coupled_fields import FieldSolution
 
-class Known(Protocol):
-    """Covariances of the unknowns, block by block."""
-
-    def of(self, name: str) -> Array:
-        """Return the covariance of a block, (members*size, members*size)."""
-
-
-class Adjusted(Protocol):
-    """Solution of any adjustment, as far as effects need it."""
-
-    @property
-    def blocks(self) -> Mapping[str, Block]:
-        """All blocks, with their values at the solution."""
-
-    def covariance_or_raise(self) -> Known:
-        """Return the covariances of the blocks."""
-
-    def std(self, block: str) -> Array:
-        """Return the standard uncertainties of a block, (members, size)."""
+Adjusted: TypeAlias = "Solution | FieldSolution"
+"""Solution of any adjustment"""
 
 
 def estimates(added: Sequence[Added], solution: Adjusted) -> tuple[Estimate, ...]:

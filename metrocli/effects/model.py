@@ -11,7 +11,7 @@ from metrocli.adjust.datum import Datum
 from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.rounds import Aspect
-from metrocli.arrays import Array, Mask
+from metrocli.arrays import Array, Index, Mask
 from metrocli.effects.effect import Effect
 from metrocli.frozen import dataclass
 
@@ -73,6 +73,11 @@ class Model:
     def group(self, name: str) -> Group:
         """Return the group of this name."""
         return next(group for group in self.groups if group.name == name)
+
+    def units_in(self, group: Group, by: str) -> Index:
+        """Return the number of the place of a kind for each reading, (n,); 0 for all of a group without such places."""
+        index = group.observations.index.get(self.places[by].index) if by else None
+        return np.zeros(group.observations.count, dtype=np.intp) if index is None else index
 
     def with_group(self, group: Group) -> Model:
         """Return the model with this group in place of the group of the same name."""

@@ -14,6 +14,8 @@ import math
 import pickle
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import reduce
+from operator import add
 
 import numpy as np
 
@@ -106,9 +108,7 @@ def _both(a: Batch, b: Batch) -> Batch:
 
 def _gathered(plan: TrialsPlan, batches: Sequence[Batch]) -> MonteCarloResult:
     """Return the result from batches whose values are all kept."""
-    total = batches[0]
-    for batch in batches[1:]:
-        total = _both(total, batch)
+    total = reduce(_both, batches)
     values = np.concatenate([batch.values for batch in batches if batch.values is not None], axis=1)
     return _outcome(plan, replace(total, values=values), ())
 
@@ -182,11 +182,7 @@ class _Later:
     def __call__(self, number: int) -> Batch:
         whole = replace(self.work, chunks=1)
         start = self.first + number * self.work.chunks
-        batches = [whole(chunk) for chunk in range(start, start + self.work.chunks)]
-        total = batches[0]
-        for batch in batches[1:]:
-            total = _both(total, batch)
-        return total
+        return reduce(_both, map(whole, range(start, start + self.work.chunks)))
 
 
 def _binned(outcome: MonteCarloResult, edges: Sequence[Edges]) -> Counts:
@@ -195,10 +191,7 @@ def _binned(outcome: MonteCarloResult, edges: Sequence[Edges]) -> Counts:
 
 
 def _tally(batches: Sequence[Batch]) -> Tally:
-    total = batches[0].tally
-    for batch in batches[1:]:
-        total = total + batch.tally
-    return total
+    return reduce(add, (batch.tally for batch in batches))
 
 
 def _small(tally: Tally, spread: Array, units: Sequence[float], digits: int) -> bool:

@@ -5,8 +5,6 @@ Method: docs/algorithms/monte-carlo-chunks.md.
 
 from __future__ import annotations
 
-from typing import Protocol
-
 import numpy as np
 import numpy.typing as npt
 
@@ -20,42 +18,29 @@ SOME = 10_000
 """Number of values that show where the ends of an interval are"""
 
 
-class MeasurandSample(Protocol):
-    """The values of one measurand."""
-
-    @property
-    def resolution(self) -> float:
-        """Largest error of an interval end from counting in bins; 0 if all values are kept."""
-
-    def symmetric(self, probability: float) -> tuple[float, float]:
-        """Return the probabilistically symmetric coverage interval (JCGM 101, 7.7.2)."""
-
-    def shortest(self, probability: float) -> tuple[float, float]:
-        """Return the shortest coverage interval (JCGM 101, 7.7.4)."""
-
-    def below(self, limit: float) -> float:
-        """Return the share of values at or below a limit."""
-
-
 @dataclass(frozen=True)
 class Kept:
     """All values, in any order."""
 
     values: Array
     resolution = 0.0
+    """Largest error of an interval end from counting in bins; 0 if all values are kept"""
 
     def symmetric(self, probability: float) -> tuple[float, float]:
+        """Return the probabilistically symmetric coverage interval (JCGM 101, 7.7.2)."""
         first, inside = _ranks(len(self.values), probability)
         lowest, highest = self._ends(max(first, len(self.values) - first - inside + 1))
         return float(lowest[first - 1]), float(highest[first - 1 + inside - len(self.values)])
 
     def shortest(self, probability: float) -> tuple[float, float]:
+        """Return the shortest coverage interval (JCGM 101, 7.7.4)."""
         _, inside = _ranks(len(self.values), probability)
         lowest, highest = self._ends(len(self.values) - inside)
         first = int(np.argmin(highest - lowest))
         return float(lowest[first]), float(highest[first])
 
     def below(self, limit: float) -> float:
+        """Return the share of values at or below a limit."""
         return float(np.count_nonzero(self.values <= limit) / len(self.values))
 
     def _ends(self, count: int) -> tuple[Array, Array]:
@@ -96,7 +81,7 @@ class Edges:
 
 @dataclass(frozen=True)
 class Binned:
-    """Number of values in each bin."""
+    """Number of values in each bin, with the same properties as `Kept`."""
 
     edges: Edges
     counts: Counts
@@ -134,6 +119,10 @@ class Binned:
         # the open bins at the ends are taken as one width wide
         at = self.edges.low + self.edges.width * np.arange(-1, BINS + 2, dtype=float)
         return float(np.interp(limit, at, reached / reached[-1]))
+
+
+MeasurandSample = Kept | Binned
+"""The values of one measurand"""
 
 
 def _ranks(count: int, probability: float) -> tuple[int, int]:

@@ -14,9 +14,9 @@ import pytest
 from places import SAMPLES
 
 from benchmarks.hidden import lengths
-from metrocli.diagnosis.adjusted_job import AdjustedJob
+from metrocli.diagnosis.adjusted_job import AdjustedJob, misfit_of
 from metrocli.diagnosis.corrections import Mistake, corrections
-from metrocli.diagnosis.mistakes import misfit_ratio, without_mistakes
+from metrocli.diagnosis.mistakes import without_mistakes
 from metrocli.diagnosis.trials import adjusted_trials
 from metrocli.errors import NotConvergedError
 from metrocli.table import Table
@@ -74,7 +74,7 @@ def test_the_mistake_is_told(name: str) -> None:
     adjusted, mistaken = without_mistakes({**inputs, key: spoil(inputs[key])}, adjust)
     assert mistaken is not None
     assert any(str(mistake).startswith(words) for mistake in mistaken.mistakes), [str(m) for m in mistaken.mistakes]
-    assert misfit_ratio(adjusted) < 1
+    assert misfit_of(adjusted).worst < 1
     assert mistaken.after < mistaken.before / 10
 
 

@@ -81,8 +81,9 @@ def test_absorbed_changes_are_those_of_the_adjustment_in_its_datum() -> None:
     system = field().system
     model = adjusted().model
     values = np.random.default_rng(1).normal(size=system.rows)
-    shift = system.shift(values[:, None], "point", (0, 1, 2))[:, :, 0]
-    tracer = system.shift(values[:, None], "tracer", (0, 1, 2, 3))[:, :, 0]
+    change = system.absorbed(values[:, None])
+    shift = system.shift(change, "point", (0, 1, 2))[:, :, 0]
+    tracer = system.shift(change, "tracer", (0, 1, 2, 3))[:, :, 0]
     block = model.blocks["point"]
     free = [np.nonzero(b.free) for b in model.blocks.values()]
     full = np.concatenate(

@@ -7,76 +7,20 @@ of members of the eliminated block. Method: docs/algorithms/tiled-elimination.md
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import replace
-from typing import Protocol
 
 import numpy as np
 
 from metrocli.adjust.model.blocks import Block
-from metrocli.adjust.schur.irregular_normals import NormalSums, OutsideTiles
+from metrocli.adjust.schur.irregular_normals import IrregularNormals, NormalSums, OutsideTiles
 from metrocli.adjust.schur.layout import Layout
 from metrocli.adjust.schur.tile_rows import TileRows
 from metrocli.adjust.schur.tiled_elimination import EliminatedTile
 from metrocli.adjust.schur.tiles import Tiling
 from metrocli.arrays import Array, Index
 from metrocli.frozen import dataclass
-
-
-class EliminatedMembers(Protocol):
-    """Some members of the eliminated block with the elimination of their unknowns."""
-
-    @property
-    def members(self) -> Index | slice:
-        """Numbers of the members, (k,)"""
-
-    def damped(self, factor: float) -> EliminatedMembers:
-        """Return the same with the diagonal of D multiplied by `1 + factor` (Marquardt)."""
-
-    @property
-    def reduced(self) -> tuple[Array, Array, float]:
-        """Contribution of the readings to the reduced system: `N - B' D^-1 B`, its right side, and `right' D^-1 right`.
-
-        The last is the decrease of the sum of squares if only the members move. Raises LinAlgError if D is singular.
-        """
-
-    @property
-    def diagonal(self) -> Array:
-        """The diagonal of N, (width,)."""
-
-    def back(self, step: Array) -> Array:
-        """Return the members' own step, `D^-1 (right - B step)`, (k, s)."""
-
-    def normals(self) -> Array:
-        """Return D, (k, s, s)."""
-
-    def inverse(self) -> Array:
-        """Return D^-1 with zeros at fixed entries, (k, s, s)."""
-
-    def weights(self) -> Array:
-        """Return `W = D^-1 B`: the members move by `-W` for each unit of the other unknowns, (k, s, width)."""
-
-    def covariance(self, reduced: Array) -> Array:
-        """Return `D^-1 + W Q W'` of each member, (k, s, s)."""
-
-    def adjusted(self, reduced: Array) -> tuple[Array, tuple[Array, ...]]:
-        """Return what `covariance` returns and, for each group of a tile, the variance of its adjusted readings."""
-
-    def cross_covariance(self, reduced: Array, chosen: Sequence[int]) -> Sequence[Array]:
-        """Return the members' covariance with the adjusted readings of chosen groups of a tile, each (s, d, m, k).
-
-        `reduced` (width, width) is the covariance of the reduced unknowns.
-        """
-
-    def reading_changes(self, fields: Array, chosen: Sequence[int]) -> Sequence[Array]:
-        """Return `H' J'` of fields H (k, s, f) for the readings of chosen groups of a tile, each (f, d, m, k)."""
-
-    def solved(self, fields: Array) -> Array:
-        """Return `D^-1 H` of fields H (k, s, f), (k, s, f)."""
-
-    def moments(self, fields: Array) -> tuple[Array, Array]:
-        """Return `H' W` and `H' D^-1 H` of fields H (k, s, f): (f, width), (f, f)."""
 
 
 @dataclass(frozen=True)
@@ -225,3 +169,7 @@ class TiedMembers(OutsideTiles):
         f = fields.shape[2]
         flat = fields.reshape(-1, f)
         return flat.T @ self.weights().reshape(len(flat), self.width), np.zeros((f, f))
+
+
+EliminatedMembers = EliminatedTile | IrregularNormals | TiedMembers
+"""Some members of the eliminated block with the elimination of their unknowns"""

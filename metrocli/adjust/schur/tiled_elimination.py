@@ -39,7 +39,7 @@ class EliminatedTile:
             self.right += np.einsum("damk,dmk->ak", part.own, part.residual)
 
     def damped(self, factor: float) -> EliminatedTile:
-        """Return the same with the diagonal of D multiplied by `1 + factor`."""
+        """Return the same with the diagonal of D multiplied by `1 + factor` (Marquardt)."""
         return EliminatedTile(self.members, self.free.T, self.rows, self.width, factor)
 
     def _normal(self) -> Array:
@@ -189,7 +189,7 @@ class EliminatedTile:
         return np.moveaxis(matrices * self.free * self.free[:, None], -1, 0)
 
     def weights(self) -> Array:
-        """Return `W = D^-1 B`, (k, s, width)."""
+        """Return `W = D^-1 B`: the members move by `-W` for each unit of the other unknowns, (k, s, width)."""
         rows, places = self.coupling()
         solved = self.backward(np.ascontiguousarray(rows.swapaxes(0, 1)))
         full = np.zeros((self.width + 1, *rows.shape[1:]))

@@ -11,8 +11,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
-from metrocli.adjust.model.groups import Group
-from metrocli.adjust.model.observations import Index
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.linear.projection import Linearised
 from metrocli.effects.covariates import Covariate, smooth_functions
@@ -56,7 +54,7 @@ def _basis(job: AdjustedJob, system: Linearised, covariate: Covariate, by: str) 
     from scipy.sparse import csr_matrix
 
     groups = job.model.readings
-    labels = [_labels(job, group, by) for group in groups]
+    labels = [job.model.units_in(group, by) for group in groups]
     units = len(job.model.places[by].names) if by else 1
     smooth = smooth_functions(covariate, groups, labels, units)
     if smooth is None:
@@ -88,9 +86,3 @@ def _basis(job: AdjustedJob, system: Linearised, covariate: Covariate, by: str) 
 def _typical(job: AdjustedJob, unit: str) -> float:
     """Return the median of the declared standard deviations of the readings in a unit."""
     return float(np.median(np.concatenate([group.observations.deviations_in(unit) for group in job.model.readings])))
-
-
-def _labels(job: AdjustedJob, group: Group, by: str) -> Index:
-    """Return the number of the unit of each reading; 0 for all readings of a group without such units."""
-    index = group.observations.index.get(job.model.places[by].index) if by else None
-    return np.zeros(group.observations.count, dtype=np.intp) if index is None else index

@@ -148,10 +148,8 @@ def _motion(job: AdjustedJob, system: Linearised, covariate: Covariate) -> Array
     """Return the coordinates of a covariate, which are changes of the readings themselves, whitened."""
     changes = np.zeros((system.rows, len(next(iter(covariate.values.values())))))
     for group in job.model.readings:
-        d, n = group.observations.readings.shape
-        rows = slice(system.first[group.name], system.first[group.name] + d * n)
-        changes[rows] = np.repeat(covariate.values[group.name].T, d, axis=0) / system.scale[rows][:, None]
-    return changes
+        changes += system.spread(group, covariate.values[group.name].T)
+    return np.asarray(changes / system.scale[:, None])
 
 
 def _waves(job: AdjustedJob, system: Linearised, covariate: Covariate) -> Iterator[Array]:
@@ -168,16 +166,14 @@ def _waves(job: AdjustedJob, system: Linearised, covariate: Covariate) -> Iterat
         parts = []
         for group in job.model.readings:
             if group.name in values:
-                d, n = group.observations.readings.shape
-                phase = np.repeat(2 * np.pi * turn * (values[group.name] - low) / span, d)
-                rows = slice(system.first[group.name], system.first[group.name] + d * n)
+                d, whole = len(group.observations.readings), system.stretch(group)
+                phase = 2 * np.pi * turn * (values[group.name] - low) / span
+                # in declared standard deviations, so that one size serves all groups
+                factor = system.weights_of(group).reshape(-1, d)
                 own = np.zeros((system.rows, 2 * d))
                 for component in range(d):
-                    at = np.arange(rows.start, rows.stop)[component::d]
-                    # in declared standard deviations, so that one size serves all groups:
-                    # whitened rows have the scale of the reading
-                    factor = group.observations.deviations.T.ravel()[component::d] / system.scale[at]
-                    own[at, 2 * component] = np.cos(phase[component::d]) * factor
-                    own[at, 2 * component + 1] = np.sin(phase[component::d]) * factor
+                    rows = slice(whole.start + component, whole.stop, d)
+                    own[rows, 2 * component] = np.cos(phase) * factor[:, component]
+                    own[rows, 2 * component + 1] = np.sin(phase) * factor[:, component]
                 parts.append(own)
         yield np.concatenate(parts, axis=1)

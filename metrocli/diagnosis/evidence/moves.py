@@ -237,9 +237,8 @@ def _is_of_one_reading(state: State, family: int, number: int, explained: float,
     gram, right = (products[number] for products in state.left(family))
     # pinv: a parameter that is not seen has no size
     whole = m.whole(family, number) @ (np.linalg.pinv(gram, hermitian=True) @ right)
-    there = rows >= 0
-    blocks = np.eye(rows.shape[1]) * there[:, :, None] - state.products(rows)
-    shared, _ = quadratic(blocks, np.where(there, state.seen(whole)[rows], 0.0), np.ones(rows.shape))
+    right = np.where(rows >= 0, state.seen(whole)[rows], 0.0)
+    shared, _ = quadratic(state.of_rows(rows), right, np.ones(rows.shape))
     return bool(shared.max() > SAME * explained)
 
 

@@ -133,10 +133,10 @@ class Knots:
         columns[rows, self.component[rows]] = combined[rows]
         return columns.reshape(len(columns), -1)
 
-    def spread(self, turn: Array, unit: int = -1) -> Array:
-        """Return the columns of all units side by side, (rows, components*units*k), or those of one unit."""
-        compact = self.compact(turn, unit)
-        if unit >= 0 or self.functions.count == 1:
+    def spread(self, turn: Array) -> Array:
+        """Return the columns of all units side by side, (rows, components*units*k)."""
+        compact = self.compact(turn)
+        if self.functions.count == 1:
             return compact
         columns = np.zeros((len(compact), self.functions.count, compact.shape[1]))
         columns[np.arange(len(compact)), self.unit] = compact

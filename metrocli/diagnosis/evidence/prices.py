@@ -80,12 +80,12 @@ class Prices:
         return prices
 
 
-def price_of_variance(tests: float, level: float = LEVEL) -> float:
-    """Return the gain of the likelihood at which one variance, of so many tested, has a level: half a chi-squared."""
+def price_of_variance(tests: float) -> float:
+    """Return the gain of the likelihood at which one variance, of so many tested, has the level: half a chi-squared."""
     from scipy.special import ndtri
 
     # one-sided: a variance can only be larger than 0
-    return float(ndtri(level / max(tests, 1.0)) ** 2 / 2)
+    return float(ndtri(LEVEL / max(tests, 1.0)) ** 2 / 2)
 
 
 def counted(

@@ -168,18 +168,18 @@ class Scored:
             self.measurement, (*self.fixed, *fixed), every, (*self.logs, *logs), steps, self.fit.products
         )
 
-    def minus(self, parts: Sequence[Fixed | Random], steps: int = TRIAL) -> Self:
+    def minus(self, parts: Sequence[Fixed | Random]) -> Self:
         """Return the state without some parts, all sizes estimated anew, computed once."""
         gone = {id(part) for part in parts}
         # the state holds its parts, so that their identities stay theirs
-        if (key := ("minus", frozenset(gone), steps)) not in self.cache:
+        if (key := ("minus", frozenset(gone))) not in self.cache:
             kept = [j for j, part in enumerate(self.random) if id(part) not in gone]
             fixed = [part for part in self.fixed if id(part) not in gone]
             random, known = [self.random[j] for j in kept], self.fit.products
             self.cache[key] = (
-                self.keeping(fixed).again(steps)
+                self.keeping(fixed).again(TRIAL)
                 if len(kept) == len(self.random)
-                else type(self).of(self.measurement, fixed, random, self.logs[kept], steps, known)
+                else type(self).of(self.measurement, fixed, random, self.logs[kept], TRIAL, known)
             )
         # without what it may come to hold of candidates and rows
         return replace(cast("Self", self.cache[key]), cache={})

@@ -128,7 +128,11 @@ class State(Scored):
             cache["absorbed"] = self.measurement.system.basis.squares()
         return np.asarray(cache["absorbed"] + entered)
 
-    def products(self, rows: Index) -> Array:
+    def of_rows(self, rows: Index) -> Array:
+        """Return the products of what the state leaves of rows (n, a), -1 for none, with each other, (n, a, a)."""
+        return np.asarray(np.eye(rows.shape[1]) * (rows >= 0)[:, :, None] - self._taken_of(rows))
+
+    def _taken_of(self, rows: Index) -> Array:
         """Return the products of what the state takes of rows (n, a), -1 for none, with each other, (n, a, a)."""
         if rows.ndim == 2 and rows.shape[1] == 1:
             return np.where(rows >= 0, self._absorbed[rows], 0.0)[:, :, None]
@@ -278,7 +282,7 @@ class State(Scored):
         m = self.measurement
         rows = m.places
         there = rows >= 0
-        gram = np.eye(rows.shape[1]) * there[:, :, None] - self.products(rows)
+        gram = self.of_rows(rows)
         residual = self.residual
         if taken is not None:
             own = np.where(there[:, :, None], taken[rows], 0.0)

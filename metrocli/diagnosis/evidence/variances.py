@@ -242,8 +242,7 @@ def noisier_groups(state: State) -> list[tuple[float, int, float]]:
 def _noise_of_given(state: State, rows: Mask) -> tuple[float, float]:
     """Return the gain of larger noise of some rows, `V = I + g E E'`, and the ratio of their deviations."""
     at = np.flatnonzero(rows)
-    left = np.eye(len(at)) - state.products(at[None])[0]
-    d, vectors = np.linalg.eigh(left)
+    d, vectors = np.linalg.eigh(state.of_rows(at[None])[0])
     along = (vectors.T @ state.residual[at]) ** 2 / np.maximum(d, 1e-300)
     gain, log = gain_of_variance(d, along, state.fit.squares, state.fit.dof)
     return gain, float(np.sqrt(1 + np.exp(log)))

@@ -258,12 +258,9 @@ def _at(job: AdjustedJob, system: Linearised, acting: Acting) -> tuple[Array, di
         outer, value = run.outer[at + 1], run.values[at + 1]
         by_input = np.eye(d)[:, :, None] if outer is None else outer
         by_input = np.broadcast_to(by_input, (d, len(acting.components), n))
-        start = system.first[group.name]
-        rows = slice(start, start + d * n)
-        # whitened readings are in their own deviations; the rows of the system may have weights besides
-        factor = observations.deviations.T.ravel() / system.scale[rows]
         whitened = np.moveaxis(observations.whitened(np.array(by_input)), -1, 0).reshape(n * d, -1)
-        whole[rows] = whitened * factor[:, None]
+        # whitened readings are in their own deviations; the rows of the system may have weights besides
+        whole[system.stretch(group)] = whitened * system.weights_of(group)[:, None]
         local = LinkContext(job.model.blocks, observations, frozenset())
         before = LinkContext(listed, observations, frozenset())
         value_listed = run_of(group, listed).values[at + 1] if listed is not job.model.blocks else value

@@ -32,24 +32,17 @@ _MOST_ROWS = 25_000
 """Largest number of components of readings for which laws are sought: the columns of all terms are held at once"""
 
 
-@dataclass(frozen=True)
-class LawSearchResult:
-    """A state that holds where laws were sought, and the laws, one for each number of terms."""
+def with_laws(state: State, plain: State, ordered: Ordered = map) -> tuple[State, tuple[Law, ...]]:
+    """Return the state with a law in it, and the laws, one for each number of terms; the state itself without any.
 
-    state: State
-    laws: tuple[Law, ...] = ()
-
-
-def with_laws(state: State, plain: State, ordered: Ordered = map) -> LawSearchResult:
-    """Return the state with a law in it, where a law explains the readings better than what it replaces.
-
-    Effects, correlated errors and noise of variance groups can imitate a law: three jumps do a saturation, an error
-    along the time does a step. So laws are sought beside the effects alone, and beside nothing, with `plain` the state
-    of the same effects in white noise. The law has to exceed the score of the state by a price of its own.
+    A law explains the readings better than what it replaces. Effects, correlated errors and noise of variance groups
+    can imitate one: three jumps do a saturation, an error along the time does a step. So laws are sought beside the
+    effects alone, and beside nothing, with `plain` the state of the same effects in white noise. The law has to exceed
+    the score of the state by a price of its own.
     """
     m = state.measurement
     if not m.job.places or m.system.rows > _MOST_ROWS or m.job.budget.ended:
-        return LawSearchResult(state)
+        return state, ()
     library = Library(m.job, plain.measurement.system)
     best: tuple[Lawful, State, Lawful] | None = None
     for base in _bases(plain):
@@ -59,7 +52,7 @@ def with_laws(state: State, plain: State, ordered: Ordered = map) -> LawSearchRe
         if start and lawful and lawful.steps and (best is None or lawful.state.score > best[0].state.score):
             best = lawful, base, start
     if best is None or best[0].state.score < state.score + _LAW:
-        return LawSearchResult(state)
+        return state, ()
     lawful, base, start = best
     gains = _gains(lawful, base, ordered)
     simpler = [law_of(lawful.first(count), base, gain, state) for count, gain in enumerate(gains, 1)]
@@ -67,7 +60,7 @@ def with_laws(state: State, plain: State, ordered: Ordered = map) -> LawSearchRe
     # few readings predict held-out ones badly: then large evidence is enough, if they do not speak against it
     surely = best[0].state.score > state.score + _SURELY and chosen.gain.log_score > 0
     if not (chosen.gain.shown or surely) or _is_named(chosen, state):
-        return LawSearchResult(state)
+        return state, ()
     as_likely = _as_likely(start, lawful.terms[0])
     terms = [part for _, part in lawful.steps[: len(chosen.terms)]]
     found = State.of(base.measurement, (*base.fixed, *terms), base.random, base.logs, 0)
@@ -76,7 +69,7 @@ def with_laws(state: State, plain: State, ordered: Ordered = map) -> LawSearchRe
         replace(law, chosen=law is chosen, as_likely=() if count else as_likely, replaced=replaced)
         for count, law in enumerate(simpler)
     )
-    return LawSearchResult(found, laws)
+    return found, laws
 
 
 def _with_those_beside(found: State, state: State) -> tuple[State, tuple[Candidate, ...]]:

@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
 
@@ -21,39 +20,6 @@ _AT_ONCE = 256
 """Columns whose coordinates are computed at once"""
 _SMALL = 100_000
 """Number of products up to which all are held to sum them, which then is faster than stretch by stretch"""
-
-
-class ColumnPart(Protocol):
-    """Columns of some alternatives of a family, at the rows that these change."""
-
-    @property
-    def rows(self) -> Index:
-        """The rows that they change, (r,)."""
-
-    @property
-    def numbers(self) -> Index:
-        """Numbers of the alternatives in their family, (alternatives,)."""
-
-    def products(self, visible: Array, at: Index | slice = ...) -> Array:
-        """Return the products of some alternatives with visible vectors (rows, m), (alternatives, parameters, m)."""
-
-    def dense(self, at: Index | slice = ...) -> Array:
-        """Return the columns of some alternatives at the rows, (r, alternatives, parameters)."""
-
-    def norms(self) -> Array:
-        """Return the norm of each column, (alternatives, parameters)."""
-
-    def grams(self, basis: Basis) -> Array:
-        """Return `g' (I - b b') g` of each alternative, (alternatives, parameters, parameters)."""
-
-    def cut(self, there: Mask) -> ColumnPart:
-        """Return the part at some of its rows (r,)."""
-
-    def numbered(self, rows: Index, numbers: Index) -> ColumnPart:
-        """Return the part with other numbers of its rows and its alternatives."""
-
-    def weighted(self, factor: Array) -> ColumnPart:
-        """Return the columns with their rows multiplied by a factor (all rows,)."""
 
 
 @dataclass(frozen=True)
@@ -259,3 +225,7 @@ class Steps:
         """Return the columns with their rows multiplied by a factor (all rows,)."""
         course = Course(self.course.rows, self.course.values * factor[self.course.rows, None])
         return Steps(course, self.begins, self.numbers)
+
+
+ColumnPart = StackedColumns | Steps
+"""Columns of some alternatives of a family, at the rows that these change"""

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from metrocli.adjust.datum import Frame, open_frame
+from metrocli.adjust.datum import Frame, open_frame, placed_movements
 from metrocli.adjust.decompositions import orthonormalised, thin_svd
 from metrocli.adjust.model.blocks import Array, Block
 from metrocli.adjust.model.groups import LinearGroup
@@ -237,13 +237,6 @@ def _orthonormal(columns: Array, gram: Array, rank: int) -> tuple[Array, Array]:
 
 def _datum_of(frame: Frame | None, layout: Layout, blocks: Mapping[str, Block]) -> tuple[Array, Array]:
     """Return movements (unknowns, m) and conditions (m, unknowns) of a frame, in the numbers of a whole layout."""
-    count = 0 if frame is None else frame.reduced.shape[1]
-    movements, conditions = np.zeros((layout.width, count)), np.zeros((layout.width, count))
-    if frame is not None:
-        for name in layout.columns.keys() & frame.moves.keys():
-            numbers = layout.columns[name]
-            moved = frame.moves[name].at(blocks[name].values, np.arange(len(numbers)))
-            movements[numbers[numbers >= 0]] = moved[numbers >= 0]
-        numbers = layout.columns[frame.datum.block]
-        conditions[numbers[numbers >= 0]] = frame.constraint(np.arange(len(numbers)))[numbers >= 0]
-    return movements, conditions.T
+    if frame is None:
+        return np.zeros((layout.width, 0)), np.zeros((0, layout.width))
+    return placed_movements(frame.moves, blocks, layout, frame.reduced.shape[1]), frame.conditions(layout)

@@ -90,7 +90,7 @@ class Linearised:
         """The rows that are readings, not priors."""
         mask = np.zeros(self.rows, dtype=bool)
         for group in self.model.readings:
-            mask[self.first[group.name] : self.first[group.name] + group.observations.readings.size] = True
+            mask[self.stretch(group)] = True
         return mask
 
     @cached_property
@@ -98,11 +98,20 @@ class Linearised:
         """The median standard deviation of the rows that are readings."""
         return float(np.median(self.scale[self.measured]))
 
+    def stretch(self, group: Group) -> slice:
+        """Return the rows of a group, which follow each other."""
+        first = self.first[group.name]
+        return slice(first, first + group.observations.readings.size)
+
     def rows_of(self, group: Group) -> Mask:
-        """Return the rows of a group."""
+        """Return the rows of a group as a mask of all, (rows,)."""
         mask = np.zeros(self.rows, dtype=bool)
-        mask[self.first[group.name] : self.first[group.name] + group.observations.readings.size] = True
+        mask[self.stretch(group)] = True
         return mask
+
+    def weights_of(self, group: Group) -> Array:
+        """Return the factors of the rows of a group beside the noise that the group states, (rows of the group,)."""
+        return np.asarray(group.observations.deviations.T.ravel() / self.scale[self.stretch(group)])
 
     def of_several_groups(self) -> Iterator[tuple[str, Mask]]:
         """Yield name and rows of each group of readings, if there are several, such as encoders and distances.
@@ -126,7 +135,7 @@ class Linearised:
             names = np.array(group.observations.unit_of_each)
             for unit in dict.fromkeys(names.tolist()):
                 mask = masks.setdefault(unit, np.zeros(self.rows, dtype=bool))
-                mask[self.rows_of(group)] = np.tile(names == unit, group.observations.count)
+                mask[self.stretch(group)] = np.tile(names == unit, group.observations.count)
         return masks
 
     def showing(self, change: Array) -> tuple[str, Mask]:
@@ -143,7 +152,7 @@ class Linearised:
         for group in self.model.readings:
             own = group.observations.conditions.get("t")
             if own is not None:
-                times[self.rows_of(group)] = np.repeat(own, len(group.observations.readings))
+                times[self.stretch(group)] = np.repeat(own, len(group.observations.readings))
         return times
 
     def seen(self, values: Array) -> Array:
@@ -166,15 +175,16 @@ class Linearised:
         return places.size > 0 and bool(np.isin(places[places >= 0], self.entries(block)).all())
 
     def absorbed(self, values: Array) -> Array:
-        """Return the change of the unknowns (unknowns, k) that absorbs values (rows, k)."""
+        """Return the change of the unknowns (unknowns, k) that absorbs values (rows, k).
+
+        The sign is that of the estimates if the readings contain the values and the model does not.
+        """
         return self.solver.change(self.basis.coordinates(values))
 
     def spread(self, group: Group, values: Array) -> Array:
         """Return values of readings (n, ...) at all rows of each reading, and 0 elsewhere."""
-        d = len(group.observations.readings)
         full = np.zeros((self.rows, *values.shape[1:]))
-        start = self.first[group.name]
-        full[start : start + d * len(values)] = np.repeat(values, d, axis=0)
+        full[self.stretch(group)] = np.repeat(values, len(group.observations.readings), axis=0)
         return full
 
     def rows_at(self, where: Mapping[str, str]) -> Mask:
@@ -208,14 +218,13 @@ class Linearised:
         shape = self.model.blocks[block].values.shape
         return np.full(shape, -1, dtype=np.intp) if columns is None else columns
 
-    def shift(self, values: Array, block: str, columns: tuple[int, ...]) -> Array:
-        """Return the shift of columns of a block (members, columns, k) by a change of the readings (rows, k).
-
-        The sign is that of the estimates if the readings contain the change and the model does not.
-        """
-        change = self.absorbed(values)
+    def shift(self, change: Array, block: str, columns: tuple[int, ...]) -> Array:
+        """Return the change of columns of a block (members, columns, ...) by that of the unknowns (unknowns, ...)."""
         places = self.entries(block)[:, list(columns)]
-        return np.where((places >= 0)[:, :, None], change[np.maximum(places, 0)], 0.0)
+        shifts = change[np.maximum(places, 0)]
+        # held entries have no place among the unknowns, and do not move
+        shifts[places < 0] = 0.0
+        return np.asarray(shifts)
 
 
 @dataclass(frozen=True)

@@ -43,8 +43,8 @@ def nonlinearity(model: Model, system: Linearised, effect: Effect, scanned: Mapp
         blocks = {**extended.blocks, block.name: block.moved(step)}
         rows = np.zeros(system.rows)
         for group in extended.readings:
-            change, start = -group.residuals(blocks).T.ravel(), system.first[group.name]
-            rows[start : start + len(change)] = change / system.scale[start : start + len(change)]
+            own = system.stretch(group)
+            rows[own] = -group.residuals(blocks).T.ravel() / system.scale[own]
         return rows
 
     still = predicted(np.zeros(block.values.shape))
@@ -85,11 +85,9 @@ def scan(
         blocks = {**extended.blocks, block.name: block}
         full = np.zeros((system.rows, int(chosen.sum())))
         for group in extended.readings:
-            columns = _whitened(system, group, blocks, block, chosen)
-            start = system.first[group.name]
-            # the noise of the system, which may be weighted; `_whitened` takes that of the group
-            factor = group.observations.deviations.T.ravel() / system.scale[start : start + len(columns)]
-            full[start : start + len(columns)] = columns * factor[:, None]
+            # `_whitened` takes the noise of the group; that of the system may be weighted
+            columns = _whitened(system, group, blocks, block, chosen) * system.weights_of(group)[:, None]
+            full[system.stretch(group)] = columns
         yield full, block, chosen
 
 

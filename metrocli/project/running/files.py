@@ -17,6 +17,7 @@ from metrocli.errors import Fault, InputError
 from metrocli.formats.own_files import write_all
 from metrocli.frozen import dataclass
 from metrocli.project.steps import ProjectStep
+from metrocli.uncertainty.workers import Finished
 
 _PAUSE_S = 0.1
 
@@ -106,7 +107,7 @@ def _word(path: Path, faults: list[Fault]) -> str:
 
 
 @dataclass(frozen=True)
-class ChunkFolder:
+class ChunkFolder(Finished):
     """A folder with one .npz file for each finished chunk: KEY OF THE COMPUTATION-NUMBER.npz."""
 
     folder: Path

@@ -10,7 +10,7 @@ from __future__ import annotations
 import os
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 from metrocli.frozen import dataclass
 from metrocli.uncertainty.workers.dask_cluster import ordered_on, with_help
@@ -18,31 +18,21 @@ from metrocli.uncertainty.workers.dask_cluster import ordered_on, with_help
 T = TypeVar("T")
 
 
-class Finished(Protocol):
-    """Store of chunks that an earlier run has finished, by the key of the computation and their number."""
+class Finished:
+    """Store of chunks that an earlier run has finished, by the key of the computation and their number; it keeps none.
+
+    A subclass keeps them.
+    """
 
     def get(self, key: str, number: int) -> dict[str, Any] | None:
         """Return the stored arrays of a chunk, or None."""
+        return None
 
     def put(self, key: str, number: int, value: dict[str, Any]) -> None:
         """Store the arrays of a finished chunk."""
 
     def clear(self) -> None:
         """Remove all chunks, after the computation is complete."""
-
-
-@dataclass(frozen=True)
-class Nothing:
-    """Store that keeps no chunks."""
-
-    def get(self, key: str, number: int) -> dict[str, Any] | None:
-        return None
-
-    def put(self, key: str, number: int, value: dict[str, Any]) -> None:
-        return None
-
-    def clear(self) -> None:
-        return None
 
 
 @dataclass(frozen=True)
@@ -55,7 +45,7 @@ class Workers:
     """Address of a Dask scheduler, tcp://..., or the path of its scheduler file; "" for this process"""
     helped: bool = False
     """Whether this is a task on a Dask cluster, and the other workers share what takes long"""
-    finished: Finished = Nothing()
+    finished: Finished = Finished()
     tell: Callable[[int, int | None], None] = lambda done, of: None
     """Progress function: takes the number of finished chunks and the total"""
 
