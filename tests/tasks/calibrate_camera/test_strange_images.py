@@ -20,6 +20,7 @@ from metrocli.tasks.calibrate_camera.settings import Files, Settings
 from metrocli.tasks.job import Job
 
 SIZE = (2592, 1944)
+MIDDLE = (("u", 648.0), ("v", 486.0))
 ODD = "image i03 fits no view of a flat board"
 
 
@@ -256,3 +257,17 @@ def test_a_job_that_fails_before_its_adjustment_has_its_files_tried(convention: 
     with pytest.raises(InputError, match="lie outside an image"):
         calibrate_camera.run(spoilt)
     assert calibrate_camera.TASK.others(spoilt, np.inf) == []
+
+
+@pytest.mark.alike
+def test_an_image_of_another_lens_leaves_a_network_and_takes_no_target_along() -> None:
+    """Readings of targets that few images see left instead, until nothing determined these."""
+    right = measured(1, wrong=False, outliers="remove", rig="network")
+    seen = right.files.observations
+    assert seen is not None
+    mine = np.array(seen.texts("image")) == "i03"
+    half = {f"{name} [px]": np.where(mine, seen.numbers(name) / 2 + at, seen.numbers(name)) for name, at in MIDDLE}
+    result = calibrate_camera.run(replace(right, files=replace(right.files, observations=seen.joined(half))))
+    assert result.tables["rejected"].texts("image").count("i03") == mine.sum()
+    # in units of 1 px, where the noise is 0.05 px
+    assert float(str(result.statistics["sigma0"])) == pytest.approx(0.05, rel=0.05)
