@@ -95,7 +95,7 @@ def _which_row(columns: Columns, values: dict[str, Values], line: int, rows: Seq
     own = [name for name in columns.key if name in values]
     pairs = [column[[*rows]].tolist() for name, column in values.items() if name not in own]
     # nan, an empty cell, is equal to itself here
-    same = all(one == other or one != one and other != other for one, other in pairs)
+    same = all(one == other or (one != one and other != other) for one, other in pairs)
     further = [f"'{name}'" for name in columns.key if name not in values]
     column = f", or distinguish the rows by a column {' or '.join(further)}" if further else ""
     alike = "with the same values: leave it out" if same else "with other values: leave the wrong row out"

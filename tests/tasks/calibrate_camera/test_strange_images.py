@@ -104,6 +104,20 @@ def test_targets_that_lie_elsewhere_than_listed_are_named() -> None:
     assert "check the rows of the list" in text and "fits no view" not in text
 
 
+@pytest.mark.parametrize("rows", [slice(1, None, 2), slice(60, None)], ids=["every second row", "the second half"])
+def test_half_of_a_list_in_inches_is_named(rows: slice) -> None:
+    """Either half fits a view: nothing was named."""
+    right = measured(2, wrong=False)
+    places = right.files.targets
+    assert places is not None
+    inches = {f"{name} [mm]": places.numbers(name).copy() for name in ("x", "y")}
+    for column in inches.values():
+        column[rows] /= 25.4
+    text = words(replace(right, files=replace(right.files, targets=places.joined(inches))))
+    assert "targets fit the others with their coordinates times 25.4, as of numbers in inches" in text
+    assert "give all rows of the list in one unit" in text and "elsewhere" not in text
+
+
 def test_a_target_that_spoils_all_images_a_little_is_doubted() -> None:
     """It was done, with k1 off by five standard uncertainties."""
     text = "readings of T30 in 8 of 8 images contradict the place that is listed"
