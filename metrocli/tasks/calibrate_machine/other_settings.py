@@ -122,7 +122,8 @@ def _channels(job: Job[Settings, Files]) -> Iterator[tuple[Mistake, Job[Settings
     for one, two in (pair for kind in kinds for pair in combinations(kind, 2)):
         write = f"{two} for {one} and {one} for {two} in the headings"
         yield other(f"{one} and {two} are swapped", write, {one: values[two], two: values[one]}, 2)
-        for line in single_lines if few and len(single_lines) > 1 else ():
+        # where outliers are left out, an exchange that makes more of them fits as well as what is wrong
+        for line in single_lines if few and job.settings.outliers == "report" else ():
             mine, write = named == line, f"{two} for {one} and {one} for {two} in the rows of line {line}"
             swapped = {a: np.where(mine, values[b], values[a]) for a, b in ((one, two), (two, one))}
             yield other(f"{one} and {two} of line {line} are swapped", write, swapped, 2)
