@@ -229,7 +229,7 @@ def _turned(machine: MachineSettings) -> Iterator[_Other]:
                 "machine.tools", f"{axis} of {name} has the wrong sign", f"{axis} of {name} with the other sign"
             )
             yield mistake, replace(machine, tools={**tools, name: turned})
-    for first, other in combinations(tools, 2) if machine.turns else ():
+    for first, other in combinations(tools, 2):
         words, names = f"the tools {first} and {other} are under each other's names", {first: other, other: first}
         vectors = {name: tools[names.get(name, name)] for name in tools}
         mistake = Mistake("machine.tools", words, f"the vector of {first} for {other}, and that of {other} for {first}")
