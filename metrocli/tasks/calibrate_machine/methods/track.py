@@ -45,8 +45,8 @@ def tracker_pose(measured: Array, nominal: Array, file: str, tried: bool = False
     """Return the pose of the tracker in the machine, (6,), from points (3, n).
 
     `far` is the largest median misfit as a share of the extent: positions that are estimated may be degrees off.
-    Raises InputError if the points do not match; where settings are to be `tried`, such as those of rotary axes or of
-    several tools, without a hint apart from its text, so that a task tries what may be wrong in them.
+    Raises InputError if the points do not match. Where settings are to be `tried`, such as those of rotary axes or of
+    several tools, its hint is in its text, so that a task tries what may be wrong in them.
     """
     pose = np.asarray(poses.fit_pose(measured.T, nominal.T))
     if matches(pose, measured, nominal, far):
