@@ -20,7 +20,7 @@ _FEWEST_REJECTED = 5
 """Fewest readings of one source that are left out for one cause: fewer may each be wrong by themselves"""
 MANY_LEFT_OUT = 3
 """Fewest readings left out as outliers that may have one cause in the settings: others are tried"""
-_SETTINGS, _PICTURE = "units, names and settings", "blur, motion and the names of targets"
+_SETTINGS, _PICTURE = "units, names and settings", "blur, motion, another lens or focus, and the names of targets"
 _SOURCES = {
     "station": _SETTINGS, "tracer": _SETTINGS, "image": _PICTURE, "view": "the placing and the names of balls",
     "leg": _SETTINGS, "line": _SETTINGS,

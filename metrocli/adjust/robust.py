@@ -13,7 +13,7 @@ import numpy as np
 from metrocli.adjust.adjustment import StoppingRule, adjust
 from metrocli.adjust.allowance import is_short
 from metrocli.adjust.datum import Datum
-from metrocli.adjust.medians import median
+from metrocli.adjust.medians import median, medians_of
 from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.outcome import Outcome
@@ -30,6 +30,8 @@ _GROSS = 8.0
 """Residuals beyond this many robust standard deviations call for a robust start"""
 _AS_OTHERS = 2.0
 """Residuals below so many robust standard deviations are of the size of the others: 3.5 sigma of image points"""
+_WORSE = 2.0
+"""A member fits far worse than others if its median residual is so many times the median of theirs"""
 _TUKEY = 4.685
 """Tuning constant of Tukey's biweight: 95 % efficiency for normal errors"""
 _POWER_80 = 0.8416212335729143
@@ -131,6 +133,20 @@ def gross(group: Group, blocks: Mapping[str, Block]) -> Array:
     """Return the length of each residual in robust standard deviations if it is above 8, else 0, (n,)."""
     share = _share(group, blocks)
     return np.where(share > _GROSS, share, 0.0)
+
+
+def worst_member(group: Group, blocks: Mapping[str, Block], within: str) -> Array:
+    """Return the lengths of the residuals of the member that fits far worse than others, 0 of these, (n,).
+
+    The lengths are in robust standard deviations. A start with a scale of each member gives one that contradicts the
+    others a full share of what both see, so it stands out by its median rather than by single residuals.
+    """
+    index, sizes = group.observations.index.get(within), _share(group, blocks)
+    if index is None:
+        return np.zeros_like(sizes)
+    medians = np.nan_to_num(medians_of(sizes, index, int(index.max(initial=0)) + 1))
+    worst = int(medians.argmax())
+    return np.where((index == worst) & (medians[worst] > _WORSE * median(medians)), np.maximum(sizes, 1.0), 0.0)
 
 
 def fitting(group: Group, blocks: Mapping[str, Block]) -> Mask:

@@ -7,12 +7,12 @@ scale: two of them can be subtracted, and a difference in K can be added. No oth
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from fractions import Fraction
 from functools import lru_cache
 
 from metrocli import units
-from metrocli.expressions.expression import NEGATIVE, NUMBER, Expression, ExpressionError, Operation
+from metrocli.expressions.expression import NAME, NEGATIVE, NUMBER, OF_ANGLES, Expression, ExpressionError, Operation
 from metrocli.frozen import dataclass
 
 Powers = tuple[tuple[str, Fraction], ...]
@@ -36,6 +36,14 @@ class Compound:
     def number(self) -> bool:
         """Whether this is the unit of a plain number."""
         return not self.powers
+
+
+def angles(expression: Expression) -> Iterator[tuple[Operation, str]]:
+    """Yield each sine, cosine or tangent of a name alone, whatever its sign, with that name."""
+    unsigned = [part for part in expression.parts if part.operation != NEGATIVE]
+    for part, before in zip(unsigned[1:], unsigned, strict=False):
+        if part.operation in OF_ANGLES and before.operation == NAME:
+            yield part, before.name
 
 
 @lru_cache(1024)

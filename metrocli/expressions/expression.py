@@ -25,7 +25,7 @@ FUNCTIONS: dict[str, int] = dict.fromkeys(
 ) | {"atan2": 2}
 """Number of arguments by name."""
 CONSTANTS = {"pi": math.pi}
-_OF_ANGLES = ("sin", "cos", "tan")
+OF_ANGLES = ("sin", "cos", "tan")
 NUMBER, NAME, NEGATIVE = "number", "name", "negative"
 _OPERATORS = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Pow: "**"}
 _EXACT: dict[str, Callable[..., Any]] = {
@@ -35,6 +35,7 @@ _EXACT: dict[str, Callable[..., Any]] = {
 _FOREIGN = re.compile(r"[^A-Za-z0-9_.+*/() ,\t\r\n-]")
 _TOKEN = re.compile(r"[0-9][\w.]*(?:(?<=[eE])[+-][0-9]+)?|\.[0-9][\w.]*(?:(?<=[eE])[+-][0-9]+)?|[A-Za-z_]\w*|//|[(),]")
 _NUMBER = re.compile(r"(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
+_PI = re.compile(r"\bpi\b")
 _REASONS = {
     "^": "write ** for a power", "×": "write *", "·": "write *", "²": "write **2", "³": "write **3", "−": "write -",
     "%": "write /100", "[": "there are no lists and no subscripts", "]": "there are no lists and no subscripts",
@@ -128,15 +129,11 @@ def parse(text: str) -> Expression:
     except SyntaxError as error:
         # the offset counts from 1, and from the bracket before the text
         start = min(max((error.offset or 2) - 2, 0), max(len(text) - 1, 0))
-        raise ExpressionError("this is not an expression", start, _near(text, start)) from error
+        near = f"something is missing or too much near '{text[start : start + 12].strip()}'"
+        raise ExpressionError("this is not an expression", start, near) from error
     except (RecursionError, MemoryError, ValueError) as error:
         raise ExpressionError("the model is nested too deeply") from error
-    parts = tuple(_folded(list(_postfix(body))))
-    return Expression(text, parts)
-
-
-def _near(text: str, start: int) -> str:
-    return f"something is missing or too much near '{text[start : start + 12].strip()}'"
+    return Expression(text, tuple(_folded(list(_postfix(body)), one_line)))
 
 
 def _refuse_faulty(text: str) -> None:
@@ -251,13 +248,6 @@ def _called(node: ast.Call, start: int) -> tuple[str, list[ast.expr]]:
     if len(node.args) != FUNCTIONS[name] or node.keywords:
         needs = f"{name} takes {FUNCTIONS[name]} argument{'s' if FUNCTIONS[name] > 1 else ''}"
         raise ExpressionError(f"{needs}, not {len(node.args) + len(node.keywords)}", start, f"write {name}(...)")
-    angle = node.args[0]
-    number = angle.operand if isinstance(angle, ast.UnaryOp) else angle
-    if name in _OF_ANGLES and isinstance(number, ast.Constant) and abs(_finite(number, start)) > 2 * math.pi:
-        written = ast.unparse(angle)
-        text = f"{name} takes radians, and {written} is more than a turn"
-        hint = f"write {name}({written}*pi/180) for degrees, {name}({written}-2*pi) for radians"
-        raise ExpressionError(text, start, hint)
     return name, node.args
 
 
@@ -270,7 +260,7 @@ def _dotted(node: ast.expr) -> str:
     return ".".join([node.id, *reversed(names)]) if isinstance(node, ast.Name) else ""
 
 
-def _folded(parts: list[Operation]) -> Iterator[Operation]:
+def _folded(parts: list[Operation], text: str) -> Iterator[Operation]:
     """Yield the steps with every operation on plain numbers carried out; rejects overflows such as 9**9**9**9."""
     stack: list[list[Operation]] = []
     """The steps of each value on the stack"""
@@ -283,11 +273,21 @@ def _folded(parts: list[Operation]) -> Iterator[Operation]:
         if part.operation == "positive":
             stack.append(arguments[0])
         elif all(argument[-1].operation == NUMBER for argument in arguments):
+            last = arguments[0][-1]
+            _refuse_degrees(part, last.number, text[last.start : last.end])
             value = _of_numbers(part, [argument[-1].number for argument in arguments])
             stack.append([Operation(NUMBER, 0, part.start, part.end, number=value)])
         else:
             stack.append([step for argument in arguments for step in argument] + [part])
     yield from stack[0]
+
+
+def _refuse_degrees(part: Operation, angle: float, written: str) -> None:
+    """Raise ExpressionError for a sine, cosine or tangent of plain numbers without pi that are more than a turn."""
+    if part.operation in OF_ANGLES and abs(angle) > 2 * math.pi and not _PI.search(written):
+        of = f"{part.operation}({written if _NUMBER.fullmatch(written.removeprefix('-')) else f'({written})'}"
+        hint = f"write {of}*pi/180) for degrees, {of}-2*pi) for radians"
+        raise ExpressionError(f"{part.operation} takes radians, and {written} is more than a turn", part.start, hint)
 
 
 def _of_numbers(part: Operation, numbers: Sequence[float]) -> float:

@@ -9,7 +9,7 @@ import csv
 import io
 import math
 import re
-from collections.abc import Container
+from collections.abc import Container, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -83,10 +83,23 @@ def _repeated(raw: Raw, columns: Columns, values: dict[str, Values], without: Co
             continue
         if key in first:
             message = ", ".join(f"{name} {value}" for name, value in zip(names, key, strict=True))
-            faults.append(raw.fault(f"{message}: a second row", raw.numbers[row], None, f"first in line {first[key]}"))
+            hint = _which_row(columns, values, raw.numbers[first[key]], (first[key], row))
+            faults.append(raw.fault(f"{message}: a second row", raw.numbers[row], None, hint))
         else:
-            first[key] = raw.numbers[row]
+            first[key] = row
     return faults
+
+
+def _which_row(columns: Columns, values: dict[str, Values], line: int, rows: Sequence[int]) -> str:
+    """Return what to do with a row whose key is that of the row in an earlier line."""
+    own = [name for name in columns.key if name in values]
+    pairs = [column[[*rows]].tolist() for name, column in values.items() if name not in own]
+    # nan, an empty cell, is equal to itself here
+    same = all(one == other or (one != one and other != other) for one, other in pairs)
+    further = [f"'{name}'" for name in columns.key if name not in values]
+    column = f", or distinguish the rows by a column {' or '.join(further)}" if further else ""
+    alike = "with the same values: leave it out" if same else "with other values: leave the wrong row out"
+    return f"first in line {line}, {alike}, or give it another {' or '.join(own)}{column}"
 
 
 def _all_different(keys: Table) -> bool:

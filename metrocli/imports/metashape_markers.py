@@ -54,6 +54,9 @@ def files(lines: TextLines, options: ImportOptions) -> Imported:
     header = ("image", "target", "u_px", "v_px")
     texts = {"observations.csv": to_csv(header, rows, origin, notes if predicted else ())}
     places = [row for row in _places(root) if row[0] in {target for _, target, *_ in rows}]
+    if places and options.unit and _geographic(root):
+        hint = "convert the markers to a local system in Metashape; without --unit the image points alone are read"
+        raise InputError([lines.fault("the places of markers are longitude and latitude, no lengths", None, hint)])
     return texts | ({"targets.csv": _targets(places, options.unit, origin)} if places and options.unit else {})
 
 
@@ -98,6 +101,12 @@ def _measured(
             else:
                 uv = [str(Decimal(value) - _CENTRE) for value in values]
                 yield named.cameras.get(camera, camera), target, *uv
+
+
+def _geographic(root: Element) -> bool:
+    """Return whether the coordinate system of the markers has angles; the WKT of a projected one has its base, too."""
+    systems = [(element.text or "").upper() for element in root.iter("reference")]
+    return any("GEOG" in system and "PROJC" not in system for system in systems)
 
 
 def _places(root: Element) -> Iterator[Row]:

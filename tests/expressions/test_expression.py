@@ -233,4 +233,7 @@ def test_degrees_in_a_sine_are_refused() -> None:
             parse(f"1 + sin({angle})")
         assert caught.value.hint == f"write sin({angle}*pi/180) for degrees, sin({angle}-2*pi) for radians"
         assert parse(f"sin({angle}-2*pi)")
-    assert parse("sin(30*pi/180) + sin(0.5) + exp(30)")
+    assert parse("sin(30*pi/180) + sin(0.5) + exp(30) + cos(2*pi*3)")
+    for angle in ("30*1", "15 + 15", "3e1"):
+        with pytest.raises(ExpressionError, match="is more than a turn"):
+            parse(f"cos({angle})")

@@ -31,6 +31,7 @@ FILE = """<?xml version="1.0" encoding="UTF-8"?>
 
 
 def imported(folder: Path, metrocli: Metrocli, text: str, *options: str) -> Any:
+    folder.mkdir(exist_ok=True)
     (folder / "m.xml").write_text(text)
     return metrocli("import", folder / "m.xml", "--from", "metashape-markers", "--out", folder / "out", *options)
 
@@ -52,6 +53,19 @@ def test_pinned_markers_are_image_points(tmp_path: Path, metrocli: Metrocli) -> 
 def test_without_a_unit_places_are_not_written(tmp_path: Path, metrocli: Metrocli) -> None:
     assert imported(tmp_path, metrocli, FILE).code == 0
     assert not (tmp_path / "out" / "targets.csv").exists()
+
+
+def test_longitudes_are_no_lengths(tmp_path: Path, metrocli: Metrocli) -> None:
+    """They were written as x_m and y_m."""
+    base = 'GEOGCS["WGS 84",DATUM["World Geodetic System 1984",SPHEROID["WGS 84",6378137,298.257223563]]'
+    for system, code in (
+        (f"{base}]", 3),
+        (f'PROJCS["WGS 84 / UTM zone 32N",{base}]]', 0),
+        ('LOCAL_CS["Local Coordinates (m)"]', 0),
+    ):
+        text = FILE.replace("    <frames", f"    <reference>{system}</reference>\n    <frames")
+        ran = imported(tmp_path / str(len(system)), metrocli, text, "--unit", "m")
+        assert (ran.code, "longitude and latitude" in ran.err) == (code, code == 3), ran.err
 
 
 @pytest.mark.parametrize(

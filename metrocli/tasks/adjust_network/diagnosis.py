@@ -26,6 +26,7 @@ from metrocli.tasks.adjust_network.effects import EFFECTS, MOVED, NO_MIRROR, NO_
 from metrocli.tasks.adjust_network.groups import BARS, GIVEN_POINTS, is_sighting
 from metrocli.tasks.adjust_network.solve import AdjustedNetwork, refitted
 from metrocli.tasks.shared.diagnosed import FOLDS, in_time
+from metrocli.tasks.shared.lists import unless_without_noise
 from metrocli.tasks.shared.noise import POINTS_IN_TIME, JobNoise, in_blocks, job_noise
 
 
@@ -60,7 +61,7 @@ def adjusted_job(solved: AdjustedNetwork) -> AdjustedJob:
         ),
         not_sought={STEERING: NO_MIRROR} | ({} if timed else {MOVED: NO_TIMES}),
         variations=_variations,
-        noticed=network.readings.warnings,
+        noticed=unless_without_noise(network.readings.warnings, solved.solution.sigma0),
     )
 
 

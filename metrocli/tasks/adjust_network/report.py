@@ -21,6 +21,7 @@ from metrocli.tasks.adjust_network.placed import placed_stations
 from metrocli.tasks.adjust_network.solve import AdjustedNetwork
 from metrocli.tasks.adjust_network.suspects import SuspectedReading
 from metrocli.tasks.shared.joint_covariance import factors
+from metrocli.tasks.shared.lists import unless_without_noise
 from metrocli.tasks.shared.noise import JobNoise
 from metrocli.tasks.shared.statistics import (
     REMOVE,
@@ -268,7 +269,7 @@ def _datum_note(solved: AdjustedNetwork) -> Iterator[str]:
 
 
 def _warnings(solved: AdjustedNetwork, solution: Solution) -> Iterator[str]:
-    yield from solved.network.readings.warnings
+    yield from unless_without_noise(solved.network.readings.warnings, solution.sigma0)
     yield from noise_warnings(solution, (REMOVE,), len(solved.rejected))
     yield from left_out(_named(solved.rejected))
     if solved.suspects:

@@ -34,6 +34,7 @@ from metrocli.tasks.calibrate_machine.effects import OF_BALLS, OF_LENGTHS, OF_LI
 from metrocli.tasks.calibrate_machine.problem import ALL_SIDES, ERROR_BLOCKS, PLACES_OF_AXES
 from metrocli.tasks.calibrate_machine.solve import AdjustedMachine, refitted
 from metrocli.tasks.shared.diagnosed import FOLDS, in_parts, of_beam
+from metrocli.tasks.shared.lists import unless_without_noise
 from metrocli.tasks.shared.noise import POINTS_IN_TIME, JobNoise, count, in_blocks, job_noise
 
 _NO_STOPS = "the machine does not stop at the readings"
@@ -64,6 +65,7 @@ def adjusted_job(solved: AdjustedMachine) -> AdjustedJob:
         variations=lambda model, readings: () if _condensed(group) else _variations(model, readings),
         sharing=count(clusters_of(solved).of[group.name]),
         not_sought=dict(_not_sought(group)),
+        noticed=unless_without_noise(problem.stuck, solved.solution.sigma0),
     )
 
 

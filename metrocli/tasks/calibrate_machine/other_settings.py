@@ -122,6 +122,11 @@ def _channels(job: Job[Settings, Files]) -> Iterator[tuple[Mistake, Job[Settings
     for one, two in (pair for kind in kinds for pair in combinations(kind, 2)):
         write = f"{two} for {one} and {one} for {two} in the headings"
         yield other(f"{one} and {two} are swapped", write, {one: values[two], two: values[one]}, 2)
+        # where outliers are left out, an exchange that makes more of them fits as well as what is wrong
+        for line in single_lines if few and job.settings.outliers == "report" else ():
+            mine, write = named == line, f"{two} for {one} and {one} for {two} in the rows of line {line}"
+            swapped = {a: np.where(mine, values[b], values[a]) for a, b in ((one, two), (two, one))}
+            yield other(f"{one} and {two} of line {line} are swapped", write, swapped, 2)
 
 
 def _displacement_alone(job: Job[Settings, Files]) -> Iterator[tuple[Mistake, Job[Settings, Files]]]:
@@ -224,7 +229,7 @@ def _turned(machine: MachineSettings) -> Iterator[_Other]:
                 "machine.tools", f"{axis} of {name} has the wrong sign", f"{axis} of {name} with the other sign"
             )
             yield mistake, replace(machine, tools={**tools, name: turned})
-    for first, other in combinations(tools, 2) if machine.turns else ():
+    for first, other in combinations(tools, 2):
         words, names = f"the tools {first} and {other} are under each other's names", {first: other, other: first}
         vectors = {name: tools[names.get(name, name)] for name in tools}
         mistake = Mistake("machine.tools", words, f"the vector of {first} for {other}, and that of {other} for {first}")

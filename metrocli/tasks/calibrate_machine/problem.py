@@ -68,6 +68,8 @@ class MachineProblem(Modelled):
     """Errors of the linear axes that an earlier calibration gives with their covariance"""
     listed_at: Array | None = None
     """Listed places of the stations of lengths, (stations, 3), nan where not listed; None for other readings"""
+    stuck: tuple[str, ...] = ()
+    """Readings that stay the same at different places, in words"""
 
     @property
     def readings(self) -> Group:

@@ -31,6 +31,7 @@ from metrocli.tasks.calibrate_machine.report import report
 from metrocli.tasks.calibrate_machine.settings import LENGTHS, ON_THE_FLY, SIX_DOF, STANDSTILL, TURNING, Settings
 from metrocli.tasks.calibrate_machine.simulation import simulated
 from metrocli.tasks.calibrate_machine.solve import AdjustedMachine, solve
+from metrocli.tasks.calibrate_machine.sticking import naming, stuck_channels
 from metrocli.tasks.job import Job, Task
 from metrocli.tasks.shared.noise import weighed
 
@@ -63,7 +64,11 @@ def _solved(job: Job[Settings, Files]) -> tuple[AdjustedMachine, float]:
     model, remove = settings.noise.model, settings.outliers == "remove"
     if files.path is not None and files.track is not None:
         return weighed(model, measurement(settings, files.path, files.track, job.effects), on_the_fly)
-    return weighed(model, problem_of(job).with_effects(job.effects), lambda problem: solve(problem, remove))
+    stuck = stuck_channels(settings, files)
+    with naming(stuck):
+        problem = problem_of(job).with_effects(job.effects)
+        solved, factor = weighed(model, replace(problem, stuck=stuck), lambda problem: solve(problem, remove))
+    return solved, factor
 
 
 def problem_of(job: Job[Settings, Files]) -> MachineProblem:

@@ -20,6 +20,7 @@ from metrocli.tasks.calibrate_machine.settings import LENGTHS, ON_THE_FLY, Setti
 from metrocli.tasks.calibrate_machine.solve import AdjustedMachine
 from metrocli.tasks.calibrate_machine.tables import Tables
 from metrocli.tasks.shared.environment import blocks_of
+from metrocli.tasks.shared.lists import unless_without_noise
 from metrocli.tasks.shared.mirror import hidden_by
 from metrocli.tasks.shared.part import Warm
 from metrocli.tasks.shared.statistics import REMOVE, REPEATS, beyond_bound, left_out, noise_warnings, with_tests
@@ -51,7 +52,8 @@ def machine_warnings(solved: AdjustedMachine, settings: Settings, more: Sequence
     """Return the warnings of a calibration: readings, `more`, noise, undetermined errors, weak designs, outliers."""
     identified = solved.identified
     wording = cures(settings)
-    lines = [*solved.problem.warnings, *more, *noise_warnings(solved.solution, wording, len(solved.rejected))]
+    stuck = unless_without_noise(solved.problem.stuck, solved.solution.sigma0)
+    lines = [*solved.problem.warnings, *stuck, *more, *noise_warnings(solved.solution, wording, len(solved.rejected))]
     if identified.undetermined:
         lines.append(
             f"this measurement does not determine {' '.join(identified.undetermined)}: left out of the tables"

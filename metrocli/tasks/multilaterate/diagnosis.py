@@ -29,6 +29,7 @@ from metrocli.tasks.multilaterate.problem import LENGTHS
 from metrocli.tasks.multilaterate.solve import AdjustedTracers, refitted
 from metrocli.tasks.shared.diagnosed import FOLDS, in_order, in_parts, of_beam
 from metrocli.tasks.shared.environment import blocks_of
+from metrocli.tasks.shared.lists import unless_without_noise
 from metrocli.tasks.shared.noise import POINTS_IN_TIME, JobNoise, count, in_blocks, job_noise
 from metrocli.units import parse_quantity
 
@@ -66,7 +67,7 @@ def adjusted_job(solved: AdjustedTracers) -> AdjustedJob:
         left_out=len(solved.rejected),
         sharing=count(clusters_of(solved)),
         offers=offers,
-        noticed=network.warnings,
+        noticed=unless_without_noise(network.warnings, solved.solution.sigma0),
     )
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from metrocli.adjust.medians import median
 from metrocli.arrays import Array, Index
-from metrocli.errors import InputError, NoSolutionError
+from metrocli.errors import Fault, InputError, NoSolutionError
 from metrocli.frozen import dataclass
 from metrocli.instruments import tracer as t
 from metrocli.instruments.tracer_start import start
@@ -47,6 +47,8 @@ def naming_wrong_lengths(settings: Settings, files: Files, solved: Callable[[Fil
         readings = read(settings, files)
         if isinstance(error, NoSolutionError) and (whole := _of_whole_tracers(readings)):
             raise type(error)("\n  ".join([str(error).partition(":")[0], *whole]), error.misfit) from error
+        if isinstance(error, InputError) and readings.stuck:
+            raise InputError([*map(Fault, readings.stuck), *error.faults]) from None
         wrong = _wrong_lengths(files.lengths, readings)
         if not wrong or _fails(solved, files, np.concatenate([lengths.rows for lengths in wrong])):
             raise

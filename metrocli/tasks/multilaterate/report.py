@@ -23,7 +23,7 @@ from metrocli.tasks.shared.environment import blocks_of, estimates_of
 from metrocli.tasks.shared.features.report import FEATURES, SHOWN, exchanging, fitted
 from metrocli.tasks.shared.features.requested import RequestedFeature
 from metrocli.tasks.shared.joint_covariance import factors
-from metrocli.tasks.shared.lists import name_of
+from metrocli.tasks.shared.lists import name_of, unless_without_noise
 from metrocli.tasks.shared.noise import JobNoise
 from metrocli.tasks.shared.part import Part
 from metrocli.tasks.shared.statistics import (
@@ -223,7 +223,8 @@ def _or(others: Sequence[str]) -> str:
 
 def _warnings(solved: AdjustedTracers) -> list[str]:
     cures = (REMOVE,) if solved.network.noise.repeatability else (REMOVE, REPEATS)
-    lines = [*solved.network.warnings, *noise_warnings(solved.solution, cures, len(solved.rejected))]
+    readings = unless_without_noise(solved.network.warnings, solved.solution.sigma0)
+    lines = [*readings, *noise_warnings(solved.solution, cures, len(solved.rejected))]
     keys = solved.whole.lengths.observations.keys
     wrong = [
         f"{keys['point'][rejected.row]}/{name_of(keys, 'tracer', rejected.row)}"

@@ -87,8 +87,11 @@ def cleared(job: Job[Settings, Files]) -> AdjustedJob:
 
 
 def _diagnosed(job: Job[Settings, Files], solves: Callable[[TracerNetwork], AdjustedTracers]) -> AdjustedJob:
-    network = build(job.settings, job.files).with_effects(job.effects)
-    solved, _ = weighed(job.settings.noise.model, network, solves)
+    def weighted(files: Files) -> tuple[AdjustedTracers, float]:
+        network = build(job.settings, files).with_effects(job.effects)
+        return weighed(job.settings.noise.model, network, solves)
+
+    solved, _ = naming_wrong_lengths(job.settings, job.files, weighted)
     adjusted = adjusted_job(solved)
     return replace(
         adjusted,

@@ -20,6 +20,7 @@ from metrocli.tasks.calibrate_camera.settings import Files, Settings
 from metrocli.tasks.job import Job
 
 SIZE = (2592, 1944)
+MIDDLE = (("u", 648.0), ("v", 486.0))
 ODD = "image i03 fits no view of a flat board"
 
 
@@ -101,6 +102,20 @@ def test_targets_that_lie_elsewhere_than_listed_are_named() -> None:
     text = words(job)
     assert "9 targets lie elsewhere on the board than listed: T30 is seen near (79.9, 39.9, 0) mm" in text
     assert "check the rows of the list" in text and "fits no view" not in text
+
+
+@pytest.mark.parametrize("rows", [slice(1, None, 2), slice(60, None)], ids=["every second row", "the second half"])
+def test_half_of_a_list_in_inches_is_named(rows: slice) -> None:
+    """Either half fits a view: nothing was named."""
+    right = measured(2, wrong=False)
+    places = right.files.targets
+    assert places is not None
+    inches = {f"{name} [mm]": places.numbers(name).copy() for name in ("x", "y")}
+    for column in inches.values():
+        column[rows] /= 25.4
+    text = words(replace(right, files=replace(right.files, targets=places.joined(inches))))
+    assert "targets fit the others with their coordinates times 25.4, as of numbers in inches" in text
+    assert "give all rows of the list in one unit" in text and "elsewhere" not in text
 
 
 def test_a_target_that_spoils_all_images_a_little_is_doubted() -> None:
@@ -256,3 +271,17 @@ def test_a_job_that_fails_before_its_adjustment_has_its_files_tried(convention: 
     with pytest.raises(InputError, match="lie outside an image"):
         calibrate_camera.run(spoilt)
     assert calibrate_camera.TASK.others(spoilt, np.inf) == []
+
+
+@pytest.mark.alike
+def test_an_image_of_another_lens_leaves_a_network_and_takes_no_target_along() -> None:
+    """Readings of targets that few images see left instead, until nothing determined these."""
+    right = measured(1, wrong=False, outliers="remove", rig="network")
+    seen = right.files.observations
+    assert seen is not None
+    mine = np.array(seen.texts("image")) == "i03"
+    half = {f"{name} [px]": np.where(mine, seen.numbers(name) / 2 + at, seen.numbers(name)) for name, at in MIDDLE}
+    result = calibrate_camera.run(replace(right, files=replace(right.files, observations=seen.joined(half))))
+    assert result.tables["rejected"].texts("image").count("i03") == mine.sum()
+    # in units of 1 px, where the noise is 0.05 px
+    assert float(str(result.statistics["sigma0"])) == pytest.approx(0.05, rel=0.05)

@@ -117,6 +117,14 @@ def test_two_channels_that_are_exchanged_are_named(job: Path, metrocli: Metrocli
     assert "ez for ey and ey for ez in the headings" in ran.out
 
 
+def test_two_channels_that_are_exchanged_in_one_line_are_named(job: Path, metrocli: Metrocli) -> None:
+    """It was doubtful without a cause."""
+    edited(job, lambda row: row | ({"eb_rad": row["ec_rad"], "ec_rad": row["eb_rad"]} if row["line"] == "y" else {}))
+    ran = metrocli("calibrate-machine", job)
+    assert ran.code == 6 and "eb and ec of line y are swapped" in ran.out
+    assert "ec for eb and eb for ec in the rows of line y" in ran.out
+
+
 def test_diagnose_continues_with_the_right_sign(job: Path, metrocli: Metrocli) -> None:
     """The signs of ex, beside outliers that are left out, had passed for a good fit: `clean`."""
     edited(job, flipped("ex_mm"), "remove")

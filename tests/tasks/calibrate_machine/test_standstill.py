@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,6 +15,8 @@ from metrocli.errors import InputError, UndeterminedError
 from metrocli.instruments.machine import SQUARENESS_NAMES
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine import task as calibrate_machine
+
+Metrocli = Callable[..., Any]
 
 
 def scores(result, machine: sim.Machine) -> np.ndarray:  # type: ignore[no-untyped-def, type-arg]
@@ -213,3 +218,17 @@ def test_one_point_and_many_are_displaced_alike() -> None:
     assert np.allclose(
         sim.displacements(machine, positions, tool), [machine.first_order(p, tool) for p in positions], atol=1e-15
     )
+
+
+@pytest.mark.parametrize("apart", ["[80 mm, 0 mm, 60 mm]", "[2 mm, 1 mm, 118 mm]"], ids=["far apart", "2 mm apart"])
+def test_tools_under_each_others_names_are_named(apart: str, tmp_path: Path, metrocli: Metrocli) -> None:
+    """The points had no shape of the commanded ones, or the beam of the tracker an offset of 2 m."""
+    assert metrocli("init", tmp_path / "p", "--sample", "machine-methods").code == 0
+    job = tmp_path / "p/jobs/standstill.yaml"
+    job.write_text(job.read_text().replace("T2: [80 mm, 0 mm, 60 mm]", f"T2: {apart}"))
+    assert metrocli("simulate", job, "--seed", 3, "--out", tmp_path / "new").code == 0
+    (tmp_path / "p/data/points.csv").write_text((tmp_path / "new/points.csv").read_text())
+    assert metrocli("calibrate-machine", job).code == 0
+    job.write_text(job.read_text().replace("T1:", "T4:").replace("T2:", "T1:").replace("T4:", "T2:"))
+    ran = metrocli("calibrate-machine", job)
+    assert ran.code in (3, 6) and "the tools T2 and T1 are under each other's names" in ran.out + ran.err, ran.err

@@ -275,9 +275,11 @@ def gear(folder: Path, change: Callable[[list[str]], list[str]], tracer: str = "
 @pytest.mark.slow
 def test_rows_of_one_tracer_that_are_moved_are_named(tmp_path: Path, metrocli: Metrocli) -> None:
     """Its points lie near one another, so that the misfit is small beside the volume: nothing was named."""
-    ran = metrocli("multilaterate", gear(tmp_path, lambda lengths: [*lengths[1:], lengths[0]]))
-    assert ran.code == 5
-    assert ran.err.splitlines()[1:] == ["  lengths of LT3: they fit if they are moved down by one of its rows"]
+    job = gear(tmp_path, lambda lengths: [*lengths[1:], lengths[0]])
+    for command in ("multilaterate", "diagnose"):
+        ran = metrocli(command, job)
+        assert ran.code == 5
+        assert ran.err.splitlines()[1:] == ["  lengths of LT3: they fit if they are moved down by one of its rows"]
 
 
 @pytest.mark.slow
@@ -287,6 +289,18 @@ def test_a_tracer_that_sticks_is_named(tmp_path: Path, metrocli: Metrocli) -> No
     # the failure that it causes varies
     assert ran.code in (4, 5) and "length_mm of LT3 stays the same in 20 rows in a row" in ran.err
     assert "from where the list puts it" not in ran.err
+
+
+def test_a_tracer_that_sticks_is_named_where_its_lengths_fit_no_points(tmp_path: Path, metrocli: Metrocli) -> None:
+    shutil.copytree(SAMPLES / "laboratory-effects", tmp_path, dirs_exist_ok=True)
+    file = tmp_path / "data" / "lengths.csv"
+    rows = [line.split(",") for line in lines(file)]
+    own = [row for row in rows if row[1] == "LT1"]
+    for row in own[10:]:
+        row[2] = own[10][2]
+    file.write_text("\n".join(map(",".join, rows)) + "\n")
+    ran = metrocli("multilaterate", tmp_path / "jobs/hall.yaml")
+    assert ran.code == 3 and "length_mm of LT1 stays the same in 30 rows in a row" in ran.err.splitlines()[0]
 
 
 def test_two_tracers_with_the_names_of_each_other_are_named(tmp_path: Path, metrocli: Metrocli) -> None:

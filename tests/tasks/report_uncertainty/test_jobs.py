@@ -571,3 +571,18 @@ def test_where_slopes_are_zero_the_second_order_stays(
     found = json.loads(ran.out)["estimates"]["s"]["second_order"]
     assert (found["value"], found["std"]) == pytest.approx((value, std), abs=1e-15)
     assert ("U = 0 lacks what higher orders change" in ran.out + ran.err) == (value > 0)
+
+
+@pytest.mark.parametrize("model", ["a*sin(b)", "a*cos(-b)"])
+def test_a_plain_number_above_a_turn_is_no_angle(model: str, tmp_path: Path, metrocli: Metrocli) -> None:
+    """`sin(30)` was refused, and the same 30 as a quantity was taken for radians without a word."""
+    job, quantities = tmp_path / "job.yaml", "quantities: {a: {value: 2 mm, std: 1 um}, b: {value: %s, std: 0.01}}"
+    head, tail = "metrocli: 1\njob: report-uncertainty\n", f"\nmeasurands: {{y: {{model: {model}, unit: mm}}}}\n"
+    codes = []
+    for value in ("30", "0.5", "30 deg", "30 rad"):
+        std = f"0.01{value.lstrip('0123456789.')}"
+        job.write_text(head + quantities.replace("0.01", std) % value + tail)
+        ran = metrocli("check", job)
+        codes.append(ran.code)
+        assert ("b = 30 is more than a turn" in ran.err and "30 deg for degrees" in ran.err) == (value == "30"), ran.err
+    assert codes == [3, 0, 0, 0]

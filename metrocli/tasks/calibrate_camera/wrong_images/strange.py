@@ -24,6 +24,7 @@ from metrocli.targets.homography import (
 )
 from metrocli.targets.lattice import GATE
 from metrocli.tasks.calibrate_camera.problem import CameraProblem
+from metrocli.tasks.calibrate_camera.wrong_images.mixed_units import in_another_unit
 from metrocli.words import listed
 
 _ENOUGH, _APART = 6, 5.0
@@ -56,7 +57,7 @@ class _SeenBoard:
     fitting: Mask
     """Points that fit that view, (n,)"""
     places: Array
-    """Places on the board where the points are seen, (n, 2)"""
+    """Places on the board where the points are seen, by those that fit a view, nan if none does, (n, 2)"""
 
     @property
     def fits(self) -> bool:
@@ -88,9 +89,11 @@ def strange_images(problem: CameraProblem, images: Group, residuals: Array | Non
         mine = view == i
         if determines_homography(plane[index[mine]]):
             seen.append(_seen(problem.sighted.images[i], index[mine], plane, rows.readings[:, mine].T))
+    back = poses.inverse(frame)
+    if mixed := _in_another_unit(problem, seen, back):
+        return mixed
     wrong = _elsewhere(seen)
     if wrong:
-        back = poses.inverse(frame)
         return [_places(problem, {t: poses.apply(back, np.append(at, 0.0)) for t, at in wrong.items()})]
     orders = [
         f"image {board.image} fits no view of a flat board, by {board.whole:.0f} px: are its targets in another order?"
@@ -106,11 +109,24 @@ def _seen(image: str, target: Index, plane: Array, uv: Array) -> _SeenBoard:
     mine, step = plane[target], float(np.sqrt(np.ptp(uv, axis=0).prod() / len(uv)))
     fitting = fitting_a_view(mine, uv, GATE * step)
     whole = float(np.median(np.linalg.norm(seen_by_a_lens(mine, uv, mine) - uv, axis=1)))
+    places = np.full(mine.shape, np.nan)
+    if fitting.any():
+        places = projected(homography(uv[fitting], mine[fitting]), uv)
     if 2 * fitting.sum() <= len(uv):
-        return _SeenBoard(image, target, step, whole, np.full(len(uv), np.inf), fitting, np.full(mine.shape, np.nan))
+        return _SeenBoard(image, target, step, whole, np.full(len(uv), np.inf), fitting, places)
     off = np.linalg.norm(seen_by_a_lens(mine[fitting], uv[fitting], mine) - uv, axis=1)
-    places = projected(homography(uv[fitting], mine[fitting]), uv)
     return _SeenBoard(image, target, step, whole, off, fitting, places)
+
+
+def _in_another_unit(problem: CameraProblem, seen: Sequence[_SeenBoard], back: Array) -> list[str]:
+    """Return which targets are listed in another unit; `back` is the transformation from the plane to the list."""
+    targets = problem.sighted.targets
+    views = []
+    for board in (board for board in seen if board.fitting.any()):
+        others = board.target[~board.fitting]
+        places = np.column_stack([board.places[~board.fitting], np.zeros(len(others))])
+        views.append((board.target[board.fitting], others, poses.apply(back, places), targets.points[others]))
+    return in_another_unit(targets.names, views)
 
 
 def _elsewhere(seen: Sequence[_SeenBoard]) -> dict[int, Array]:

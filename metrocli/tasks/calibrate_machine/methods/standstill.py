@@ -68,7 +68,8 @@ def standstill(settings: Settings, points: Table, files: Files = NO_FILES) -> Ma
     must_support(machine, position, blocks)
     on = settings.instrument.on
     places = reflectors.places(machine, position, on)
-    pose = tracker_pose(measured, places, points.file, machine.turns, *([FAR_OFF] if poses.letters else []))
+    tried = machine.turns or len(settings.tools) > 1
+    pose = tracker_pose(measured, places, points.file, tried, *([FAR_OFF] if poses.letters else []))
     observations = Observations(
         measured,
         np.ones(1),

@@ -41,18 +41,18 @@ MIRRORED = "the tracker's frame is left-handed: two of mx, my, mz are swapped, o
 """Hint for measured points that are a mirror image; both causes look the same, since the frame is estimated"""
 
 
-def tracker_pose(measured: Array, nominal: Array, file: str, turns: bool = False, far: float = _FAR) -> Array:
+def tracker_pose(measured: Array, nominal: Array, file: str, tried: bool = False, far: float = _FAR) -> Array:
     """Return the pose of the tracker in the machine, (6,), from points (3, n).
 
     `far` is the largest median misfit as a share of the extent: positions that are estimated may be degrees off.
-    Raises InputError if the points do not match; for a machine with rotary axes without a hint, so that a task tries
-    what may be wrong in its settings.
+    Raises InputError if the points do not match. Where settings are to be `tried`, such as those of rotary axes or of
+    several tools, its hint is in its text, so that a task tries what may be wrong in them.
     """
     pose = np.asarray(poses.fit_pose(measured.T, nominal.T))
     if matches(pose, measured, nominal, far):
         return pose
     fault = mismatch(measured, nominal, file)
-    raise InputError([replace(fault, hint=None) if turns else fault])
+    raise InputError([replace(fault, message=f"{fault.message}; {fault.hint}", hint=None) if tried else fault])
 
 
 def matches(pose: Array, measured: Array, nominal: Array, far: float = _FAR) -> bool:

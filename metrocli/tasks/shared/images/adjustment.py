@@ -14,7 +14,17 @@ from metrocli.adjust.datum import Datum
 from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.outcome import Outcome
-from metrocli.adjust.robust import FitQuality, Suspects, apart, fitting, gross, robust_start, suspects, typical
+from metrocli.adjust.robust import (
+    FitQuality,
+    Suspects,
+    apart,
+    fitting,
+    gross,
+    robust_start,
+    suspects,
+    typical,
+    worst_member,
+)
 from metrocli.adjust.rounds import Used, in_rounds
 from metrocli.adjust.solution import Residuals, Solution, residuals_of
 from metrocli.arrays import Array
@@ -176,6 +186,11 @@ def adjust_images(
         return _solved(using, others, datum, options)
 
     using, solved = in_rounds(begun(far, state), solve, fewer, _MOST)
+    if options.remove_outliers and not solved.solution.outcome.good:
+        # an image of another lens took targets along, whose readings in other images have left: they fit without it
+        foreign = worst_member(group, state, "view")
+        without = in_rounds(begun(foreign, state), solve, fewer, _MOST) if foreign.any() else (using, solved)
+        using, solved = without if without[1].solution.outcome.good else (using, solved)
     for _ in range(_AGAIN if options.remove_outliers else 0):
         if not solved.solution.outcome.good:
             break

@@ -1,0 +1,62 @@
+"""Readings of a machine's measurement that stay the same at different places, as of a sensor that sticks."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+
+import numpy as np
+
+from metrocli.arrays import Array
+from metrocli.errors import Fault, InputError, NoSolutionError
+from metrocli.instruments.six_dof import CHANNELS
+from metrocli.table import Table
+from metrocli.tasks.calibrate_machine.files import Files
+from metrocli.tasks.calibrate_machine.methods.six_dof import laser_noise, unmeasured
+from metrocli.tasks.calibrate_machine.methods.standstill import CARTESIAN, tracker_noise
+from metrocli.tasks.calibrate_machine.settings import Settings
+from metrocli.tasks.shared.lists import sticking
+
+_PLACES = ("x", "y", "z", "a", "b", "c", "position")
+"""Columns of where a machine stands"""
+
+
+def stuck_channels(settings: Settings, files: Files) -> tuple[str, ...]:
+    """Return which readings stay the same, in words."""
+    lines: list[str] = []
+    for table, source in ((files.lines, "line"), (files.lengths, "station"), (files.points, "")):
+        # a channel of zeros was not measured, which is a fault of its own
+        if table is None or (table is files.lines and any(unmeasured(table))):
+            continue
+        names = table.texts(source) if source else ["the tracker"] * len(table)
+        sources, of = np.unique(np.array(names, dtype=str), return_inverse=True)
+        at = np.stack([table.numbers(name) for name in _PLACES if name in table], axis=1)
+        place = np.unique(np.nan_to_num(at), axis=0, return_inverse=True)[1].ravel()
+        for name, sigma in _noise(settings, table):
+            lines += sticking(table, name, (of, place), sources.tolist(), sigma)
+    return tuple(lines)
+
+
+def _noise(settings: Settings, table: Table) -> Iterator[tuple[str, Array]]:
+    """Yield each column of readings with its standard deviations (n,)."""
+    ones = np.ones(len(table))
+    laser = laser_noise(settings)
+    for name, sigma in zip(CHANNELS, (laser.displacement, *[laser.straightness] * 2, *[laser.angle] * 3), strict=True):
+        yield name, sigma * ones
+    if "length" in table:
+        noise = settings.noise.of_lengths
+        yield "length", np.hypot(noise.constant, noise.proportional * table.numbers("length"))
+    if all(name in table for name in CARTESIAN):
+        covariance = tracker_noise(settings).covariance(table.stacked(CARTESIAN).T)
+        yield from zip(CARTESIAN, np.sqrt(np.einsum("iin->in", covariance)), strict=True)
+
+
+@contextmanager
+def naming(stuck: Sequence[str]) -> Iterator[None]:
+    """Name readings that stay the same in each failure that they may have caused."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError([*map(Fault, stuck), *error.faults]) from error
+    except NoSolutionError as error:
+        raise type(error)("\n  ".join([str(error), *stuck]), error.misfit, error.inputs) from error
