@@ -34,20 +34,19 @@ _MOST_OF_IT = 0.01
 """Share of all that was gained by which a move must raise the score in a quick search"""
 
 
-def is_dominated(state: State, quick: bool = False) -> bool:
+def is_dominated(state: State) -> bool:
     """Return whether the unknowns are to be adjusted with effects of a state, and the search to go on about them.
 
     Signatures are derivatives, and the higher-order terms of a large effect look like other effects. An effect that is
     columns of the job's own blocks, such as a term of a lens, bends beside the others: only about its own solution
-    differs it from those that look alike (docs/decisions/264-terms-of-a-lens-bend.md). A quick search leaves that to
-    the whole one, unless such an effect dominates: another solution takes longer than all else that it does.
+    differs it from those that look alike (docs/decisions/264-terms-of-a-lens-bend.md).
     """
     m = state.measurement
     old, new = _old_and_new(state)
     # with few degrees of freedom any effect lowers the mean square so far
     if not new or m.dof < _MANY:
         return False
-    if not quick and any(m.alternative(part.key).effect.link is None for part in new):
+    if any(m.alternative(part.key).effect.link is None for part in new):
         return True
     return State.of(m, old).variance > _DOMINANT * State.of(m, state.named).variance
 
@@ -250,8 +249,8 @@ def searched_from(job: AdjustedJob, begin: State, quick: bool, without: Sequence
         # not adjusted with effects whose sizes may be nothing: all else would be linearised about these sizes
         state = state if quick else surely(state)
         gross = None if known is None else known.beside(state)
-        dominated = gross is not None or is_dominated(state, quick)
-        if not left or not (dominated or (not quick and _is_smoothed(state))):
+        dominated = gross is not None or is_dominated(state)
+        if not left or not (dominated or _is_smoothed(state)):
             break
         known = gross or known
         fits = [fit for fit in _fits(job, state, gross, known or Gross({}, {})) if fit.job is not None]

@@ -15,7 +15,7 @@ from metrocli.diagnosis.evidence.parts import CORRELATED, EFFECT, SCATTER
 from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.evidence.variances import Found, scattered_effects
 from metrocli.diagnosis.explanations import not_confirmed, with_confirmed
-from metrocli.diagnosis.rounds import _terms_instead, searched
+from metrocli.diagnosis.rounds import _terms_instead
 from tests.diagnosis.evidence.test_dense import with_residual
 
 
@@ -60,15 +60,3 @@ def test_a_wave_that_nothing_names_is_tried_in_place_of_no_term_of_a_lens(monkey
     state = State.of(m, [m.effect(at, 0), m.effect(term, 0)])
     instead = _terms_instead(state.minus([state.fixed[1]]), (term, 0))
     assert instead and all(part.sort == EFFECT for part in instead)
-
-
-@pytest.mark.parametrize(("times", "quick", "another"), [(3.0, True, False), (3.0, False, True), (100.0, True, True)])
-def test_a_quick_search_goes_to_another_solution_only_where_effects_dominate(
-    times: float, quick: bool, another: bool
-) -> None:
-    rng = np.random.default_rng(24)
-    planted = images.planted(images.read(board_scene(rng, 10, (8, 6)), rng), rng, "axis-skew", times)
-    assert planted is not None
-    _, state = searched(planted[0].adjusted(), quick)
-    assert [state.measurement.alternative(part.key).effect.name for part in state.named] == ["axis-skew"]
-    assert bool(state.measurement.job.adjusted) == another
