@@ -154,11 +154,10 @@ class NormalSums:
         """Add the readings of a group."""
         parts = _SortedDerivatives.of(linear, blocks, layout)
         s, places = parts.size_e, parts.places
-        d, c, n = parts.dense.shape
+        rows = parts.rows
+        n, d, c = rows.shape
         if not n:
             return
-        # readings first, so that all of one member are adjacent for the products
-        rows = np.ascontiguousarray(parts.dense.reshape(d * c, n).T).reshape(n, d, c)
         flat = rows.reshape(n * d, c)
         if parts.index_e is None:
             gram = flat.T @ flat
@@ -189,8 +188,8 @@ class _SortedDerivatives:
     """Derivatives of a group, sorted by the sums that they enter."""
 
     index_e: Index | None
-    dense: Array
-    """(d, columns, n): columns of the eliminated block, then those of blocks of one member, then the residual"""
+    rows: Array
+    """(n, d, columns): columns of the eliminated block, then those of blocks of one member, then the residual"""
     size_e: int
     places: Index
     """Reduced columns of the blocks of one member"""
@@ -220,9 +219,12 @@ class _SortedDerivatives:
                 places.append(columns[columns >= 0])
             else:
                 scattered.append((touch, layout.columns[touch.block]))
-        stacked = np.concatenate([*dense, linear.residual[:, None, :]], axis=1)
+        dense.append(linear.residual[:, None, :])
+        # readings first, so that all of one member are adjacent for the products; into the memory in that order
+        (d, _, n), columns = dense[-1].shape, sum(part.shape[1] for part in dense)
+        rows = np.concatenate([np.moveaxis(part, 2, 0) for part in dense], axis=2, out=np.empty((n, d, columns)))
         every_place = np.concatenate([*places, np.zeros(0, dtype=np.intp)])
-        return _SortedDerivatives(index_e, stacked, size_e, every_place, tuple(scattered))
+        return _SortedDerivatives(index_e, rows, size_e, every_place, tuple(scattered))
 
     def used_members(self) -> tuple[int, slice]:
         """Return the first eliminated member that these readings use, and the slice from it to the last."""

@@ -126,7 +126,11 @@ class LensShape:
             return Step(moved)
         by_point = np.stack([coefficients @ self._basis(value, local, slope).T for slope in (0, 1)], axis=1)
         by_point = by_point + np.eye(2)[:, :, None]
-        by_shape = np.stack([(at @ basis).T for basis in both])
+        # readings first in memory: the normal equations take them in that order
+        by_shape = np.empty((value.shape[1], *both.shape[::2]))
+        for axis, basis in enumerate(both):
+            np.matmul(at, basis, out=by_shape[:, axis])
+        by_shape = np.moveaxis(by_shape, 0, 2)
         return Step(moved, by_point, {self.block: by_shape} if self.block in local.wanted else {})
 
     def _basis(self, value: Array, local: LinkContext, slope: int | None = None) -> Array:
