@@ -199,8 +199,7 @@ class _SortedDerivatives:
     @staticmethod
     def of(linear: LinearGroup, blocks: Mapping[str, Block], layout: Layout) -> _SortedDerivatives:
         index_e, size_e, scattered = None, 0, []
-        dense: list[Array] = []
-        places: list[Index] = []
+        dense, places = list[Array](), list[Index]()
         # a reading that uses two members of the block touches it twice; these stay in the reduced system as tied ones
         alone = sum(touch.block == layout.eliminated for touch in linear.touches) == 1
         for touch in linear.touches:

@@ -61,7 +61,7 @@ def adjusted_job(solved: AdjustedNetwork) -> AdjustedJob:
         ),
         not_sought={STEERING: NO_MIRROR} | ({} if timed else {MOVED: NO_TIMES}),
         variations=_variations,
-        noticed=unless_without_noise(network.readings.warnings, solved.solution.sigma0),
+        noticed=(*network.readings.warnings, *unless_without_noise(network.readings.stuck, solved.solution.sigma0)),
     )
 
 

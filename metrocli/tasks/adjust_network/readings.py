@@ -57,6 +57,8 @@ class NetworkReadings:
     setups: tuple[tuple[str, ...], Array, Array]
     """Names, heights and sigmas of the targets' set-ups; the first is for targets without one"""
     warnings: tuple[str, ...] = ()
+    stuck: tuple[str, ...] = ()
+    """Readings of one station that stay the same, in words"""
 
     def without(self, sightings: tuple[Index, Index], others: Mapping[str, Index]) -> NetworkReadings:
         """Return the readings without some components of sightings (component, row), and rows of `lengths` ..."""
@@ -159,12 +161,12 @@ def _with_warnings(readings: NetworkReadings) -> NetworkReadings:
     )
     idle = [name for i, name in enumerate(readings.stations.names) if i not in used]
     lines = [f"stations without a reading are left out: {listed(idle)}"] if idle else []
-    seen, names = readings.sightings, readings.stations.names
+    seen, names, stuck = readings.sightings, readings.stations.names, list[str]()
     sigma = n.declared(readings.instruments, readings.stations.instrument[seen.station], seen.values, seen.sigma)
     for columns, declared in zip((("az", "hz"), ("el", "zd"), ("d",)), sigma, strict=True):
         for name in columns:
-            lines += sticking(seen.table, name, (seen.station, seen.point), names, declared)
-    return replace(readings, warnings=tuple(lines))
+            stuck += sticking(seen.table, name, (seen.station, seen.point), names, declared)
+    return replace(readings, warnings=tuple(lines), stuck=tuple(stuck))
 
 
 @dataclass(frozen=True)

@@ -269,7 +269,8 @@ def _datum_note(solved: AdjustedNetwork) -> Iterator[str]:
 
 
 def _warnings(solved: AdjustedNetwork, solution: Solution) -> Iterator[str]:
-    yield from unless_without_noise(solved.network.readings.warnings, solution.sigma0)
+    yield from solved.network.readings.warnings
+    yield from unless_without_noise(solved.network.readings.stuck, solution.sigma0)
     yield from noise_warnings(solution, (REMOVE,), len(solved.rejected))
     yield from left_out(_named(solved.rejected))
     if solved.suspects:

@@ -67,7 +67,7 @@ def adjusted_job(solved: AdjustedTracers) -> AdjustedJob:
         left_out=len(solved.rejected),
         sharing=count(clusters_of(solved)),
         offers=offers,
-        noticed=unless_without_noise(network.warnings, solved.solution.sigma0),
+        noticed=(*network.warnings, *unless_without_noise(network.stuck, solved.solution.sigma0)),
     )
 
 

@@ -45,6 +45,8 @@ class TracerNetwork(Modelled):
     listed_at: Array = field(default_factory=lambda: np.zeros((0, 3)))
     """Listed places of the tracers, (tracers, 3), nan if not listed"""
     warnings: tuple[str, ...] = ()
+    stuck: tuple[str, ...] = ()
+    """Tracers whose lengths stay the same, in words"""
     scale: Scale | None = None
     """Prior knowledge of the tracers' scales, if they are estimated"""
     air: Air | None = None
@@ -161,8 +163,15 @@ def network_of(
     acting = {"tracer": Place(stations.members, t.TRACER), "point": Place(points.members, t.POINT)}
     nominal = {t.POINT: readings.nominal}
     model = Model(blocks, groups, datum, (LENGTHS,), acting, t.aspects(t.reach()), nominal=nominal)
-    warnings, air = readings.warnings, readings.air
-    given, scale = bool(tracers.given.all()), settings.scale
     return TracerNetwork(
-        model, noise, readings.nominal, readings.absolute, given, tracers.listed_at, warnings, scale, air
+        model,
+        noise,
+        readings.nominal,
+        readings.absolute,
+        surveyed=bool(tracers.given.all()),
+        listed_at=tracers.listed_at,
+        warnings=readings.warnings,
+        stuck=readings.stuck,
+        scale=settings.scale,
+        air=readings.air,
     )

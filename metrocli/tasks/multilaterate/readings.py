@@ -98,7 +98,7 @@ def read(settings: Settings, files: Files) -> LengthReadings:
     readings = LengthReadings(names, nominal, sigma, read_by, observations, stops, air, absolute, seen)
     declared = np.hypot(settings.noise.constant, settings.noise.proportional * length)
     stuck = tuple(sticking(lengths, "length", (read_by.of, point), read_by.names, declared))
-    return replace(readings, stuck=stuck, warnings=(*_unused(readings), *stuck, *unused(settings.environment, lengths)))
+    return replace(readings, stuck=stuck, warnings=(*_unused(readings), *unused(settings.environment, lengths)))
 
 
 def _stops(point: Index, sigma: Array, time: Array | None) -> tuple[Index, Array]:

@@ -223,8 +223,8 @@ def _or(others: Sequence[str]) -> str:
 
 def _warnings(solved: AdjustedTracers) -> list[str]:
     cures = (REMOVE,) if solved.network.noise.repeatability else (REMOVE, REPEATS)
-    readings = unless_without_noise(solved.network.warnings, solved.solution.sigma0)
-    lines = [*readings, *noise_warnings(solved.solution, cures, len(solved.rejected))]
+    stuck = unless_without_noise(solved.network.stuck, solved.solution.sigma0)
+    lines = [*solved.network.warnings, *stuck, *noise_warnings(solved.solution, cures, len(solved.rejected))]
     keys = solved.whole.lengths.observations.keys
     wrong = [
         f"{keys['point'][rejected.row]}/{name_of(keys, 'tracer', rejected.row)}"

@@ -20,7 +20,6 @@ Texts = npt.NDArray[np.str_]
 _STICKS, _FINE = 5, 0.3
 """So many different points in a row do not have the same reading by chance, if the last digit is finer than this share
 of its standard deviation"""
-_STUCK = "as of a sensor that sticks"
 _WITHOUT_NOISE = 0.1
 """Residuals below this share of the declared noise are of readings without noise, such as computed ones"""
 _ROUNDING, _DIGITS = 1e-12, 15
@@ -163,16 +162,17 @@ def sticking(table: Table, name: str, read: tuple[Index, Index], sources: Sequen
         line = f" from line {table.lines[rows[0]]} on" if table.lines else ""
         yield (
             f"{table.file}: {table.headings.get(name, name)} of {sources[of[begin]]} stays the same in {end - begin} "
-            f"rows in a row{line}, at different points, {_STUCK}: leave these rows out, unless it was held there"
+            f"rows in a row{line}, at different points, as of a sensor that sticks: leave these rows out, unless it "
+            "was held there"
         )
 
 
 def unless_without_noise(lines: Iterable[str], sigma0: float) -> tuple[str, ...]:
-    """Return warnings, without those of sensors that stick where the readings fit as if they had no noise.
+    """Return which readings stay the same, in words; none where the readings fit as if they had no noise.
 
     Computed readings repeat where places are alike, and a sensor that sticks does not fit.
     """
-    return tuple(line for line in lines if not (sigma0 < _WITHOUT_NOISE and _STUCK in line))
+    return () if sigma0 < _WITHOUT_NOISE else tuple(lines)
 
 
 def _last_digit(table: Table, name: str) -> float:
