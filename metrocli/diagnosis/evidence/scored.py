@@ -126,12 +126,7 @@ class Scored:
     @cached_property
     def noise_freedoms(self) -> float:
         """Degrees of freedom of the white noise alone: without those of the declared one and of the random parts."""
-        return max(self.freedoms - PRIOR - float(self.fit.slopes[1].sum()), 1.0)
-
-    @property
-    def white_squares(self) -> float:
-        """Squares of the white noise, by its variance and degrees of freedom."""
-        return self.variance * self.noise_freedoms
+        return self.freedoms - PRIOR - float(self.fit.slopes[1].sum())
 
     @property
     def variance(self) -> float:
