@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from benchmarks.hidden import images
+from benchmarks.hidden import images, launch, lengths
 from benchmarks.hidden.scenes import part_scene
 from benchmarks.hidden.subjects import KINDS, Planted
 from metrocli import units
 from metrocli.cli.diagnosis_report import findings
 from metrocli.diagnosis.diagnose import diagnose
 from metrocli.diagnosis.findings import Verdict
+from metrocli.diagnosis.job_entries import correlated_as_job, proposed_correlated
+from metrocli.diagnosis.next_readings.choice import next_readings
+from metrocli.effects.correlated import stds
 from metrocli.units.table import DIMENSIONS
 
 
@@ -49,6 +54,23 @@ def test_encoders_without_noise_have_no_infinite_weight() -> None:
     assert found.noise.ratio > 0
     assert all(1e-3 <= group.ratio <= 1e6 for group in found.variance_groups)
     assert "base-tilt" in findings.of_diagnosis(found, None, True)
+
+
+def test_readings_of_a_single_pose_can_be_proposed_again() -> None:
+    """All readings then share one beam, and each has its own face."""
+    m = launch.measurement(np.random.default_rng(2), distances=True)
+    one = replace(m, receivers=m.receivers[:1], psi=m.psi[:1], t=m.t[:1], temp=m.temp[:1], read=m.read[:, :1])
+    found = diagnose(one.adjusted())
+    assert next_readings(found, 2).readings is not None
+
+
+def test_a_correlated_error_that_no_job_can_state_is_not_proposed() -> None:
+    """Lengths rounded to centimetres, of which 0.1 um are declared: a job takes 1000 times the noise at most."""
+    m = lengths.measurement(np.random.default_rng(3), 30)
+    found = diagnose(replace(m, length=np.round(m.length + 30 * np.sin(m.t / 200), -1)).adjusted())
+    assert found.correlated_errors
+    for error in proposed_correlated(found):
+        assert stds(correlated_as_job(error)["std"], found.job.model.readings)
 
 
 def test_nothing_has_a_unit_of_its_dimension() -> None:
