@@ -68,7 +68,7 @@ def readable(value: float, dimension: str) -> tuple[float, str]:
         return value, ""
     reported = [unit for unit in DIMENSIONS[dimension].units if unit.reported and not unit.offset]
     if value == 0 or not math.isfinite(value):
-        # the internal unit of a ratio, 1, is none that a reader knows
+        # a ratio has no internal unit that a file may use
         own = internal_unit(dimension)
         return value, own if own in DIMENSIONS[dimension].symbols else reported[0].symbol
     return _nearest_to_3(value, dimension, tuple(unit.symbol for unit in reported))
