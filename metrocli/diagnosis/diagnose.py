@@ -89,9 +89,7 @@ def diagnose(
     parts: list[Fixed | Random] = [*state.named, *(part for part in state.random if part.kind == SCATTER)]
     whole = gain_of_parts(state, parts) if scattered else None
     rivals = [(name.alternative, rival.alternative) for name in names for rival in name.rivals[:2]]
-    noise = noise_of(
-        float(state.residual @ state.residual) if not state.random else state.white_squares, state.noise_freedoms
-    )
+    noise = noise_of(state)
     progress.doing("computing what the measurement could not detect")
     return Diagnosis(
         job=first.measurement.job,

@@ -13,6 +13,7 @@ from metrocli.diagnosis.correlated_error import CorrelatedError
 from metrocli.diagnosis.evidence.identified import IdentifiedEffect
 from metrocli.diagnosis.findings import Diagnosis, RandomEffect
 from metrocli.diagnosis.noise import AS_OTHERS, DECLARED_SIGMA, VarianceGroup
+from metrocli.effects.correlated import stds
 from metrocli.effects.effect import Parameter
 from metrocli.effects.variance_groups import MOST, StatedVariance
 from metrocli.nodes import Node, node_of
@@ -51,9 +52,10 @@ def proposed_correlated(diagnosis: Diagnosis) -> tuple[CorrelatedError, ...]:
     """Return the correlated errors that the extended job states, so that its estimates and uncertainties have them.
 
     Where single units (images) have errors of their own, those of the others are not alike either: `noise: structured`
-    takes them as they are.
+    takes them as they are. One that no job can state, far larger than the declared noise, is left out.
     """
-    job, errors = diagnosis.job, diagnosis.correlated_errors
+    job, groups = diagnosis.job, diagnosis.job.model.readings
+    errors = tuple(error for error in diagnosis.correlated_errors if stds(correlated_as_job(error)["std"], groups))
     alike = not any(error.place for error in errors) or job.sharing < FEWEST
     return errors if alike and job.states_correlated and job.noise_model != STRUCTURED else ()
 

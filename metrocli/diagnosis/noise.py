@@ -6,15 +6,20 @@ Method: docs/algorithms/evidence.md.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Mask
 from metrocli.diagnosis.adjusted_job import AdjustedJob
+from metrocli.diagnosis.evidence.prices import PRIOR
 from metrocli.diagnosis.linear.distributions import chi_interval
 from metrocli.diagnosis.linear.projection import FEWEST, READING, Linearised
 from metrocli.frozen import dataclass
+
+if TYPE_CHECKING:
+    from metrocli.diagnosis.evidence.state import State
 
 AS_OTHERS = 1.4
 """Ratio of standard deviations below which a variance group counts as noisy as the others"""
@@ -49,9 +54,15 @@ class VarianceGroup:
     """Ratio of its standard deviation to that of the others"""
 
 
-def noise_of(squares: float, dof: float) -> NoiseRatio:
-    """Return the noise of some squares with degrees of freedom, with its 95 % interval (chi-squared)."""
-    dof = max(dof, 1.0)
+def noise_of(state: State) -> NoiseRatio:
+    """Return the white noise that a state leaves, with its 95 % interval (chi-squared).
+
+    With less than one degree of freedom nothing shows it: then the declared one counts, with its own.
+    """
+    shown = state.noise_freedoms >= 1
+    dof = state.noise_freedoms if shown else PRIOR
+    alone = shown and not state.random
+    squares = float(state.residual @ state.residual) if alone else state.variance * dof
     low, high = chi_interval(squares, dof)
     return NoiseRatio(float(np.sqrt(squares / dof)), low, high, dof)
 

@@ -126,20 +126,20 @@ def _with_error(model: Model, error: StatedCorrelation, covariate: Covariate, no
     if error.length < least:
         at = node.get("length") or node
         return model, [at.fault(f"correlated: {covariate.name} resolves no length below {least:.2g}")]
-    stds = _stds(error.std, groups)
-    if stds is None:
+    sizes = stds(error.std, groups)
+    if sizes is None:
         at, noise = node.get("std") or node, float(_typical(groups[0])[0])
         hint = f"write a size above zero with its unit, at most {_MOST:g} times the declared noise of {noise:.2g} "
         hint += groups[0].observations.unit_of_each[0]
         return model, [at.fault(f"correlated: std: '{error.std}' is not a size of these readings", hint)]
     turn = kernel(smooth.distances, error.length)
-    for group, (values, numbers), std in zip(groups, smooth.values, stds, strict=True):
+    for group, (values, numbers), std in zip(groups, smooth.values, sizes, strict=True):
         basis = np.einsum("nm,nmk->kn", values, turn[numbers])
         model = _with_group(model, group.name, error, basis, std)
     return model, []
 
 
-def _stds(text: str, groups: Sequence[Group]) -> list[float] | None:
+def stds(text: str, groups: Sequence[Group]) -> list[float] | None:
     """Return the size in the first component of each group: one for all in units of their noise.
 
     None if it is in the unit of none of them.

@@ -105,14 +105,15 @@ class Encoders:
 
     def step(self, value: Array, local: LinkContext) -> Step:
         """Return base and tilt [rad], (2, n), with their derivatives by the beam."""
-        x, y, z = value
+        over = local.observations.conditions.get(OVER, np.zeros(1))
+        # one beam for all readings of a single pose
+        x, y, z = np.broadcast_to(value, (3, max(value.shape[1], len(over))))
         # a vertical beam has no base angle; the least number keeps the division finite
         level2 = np.maximum(x * x + y * y, np.finfo(float).tiny)
         level, square = np.sqrt(level2), level2 + z * z
-        over = local.observations.conditions.get(OVER, np.zeros(1))
         face = 1 - 2 * over
         angles = np.stack([np.arctan2(y, x), face * np.arctan2(z, level)]) + np.pi * over
-        by_beam = np.zeros((2, 3, value.shape[1]))
+        by_beam = np.zeros((2, 3, len(x)))
         by_beam[0, 0], by_beam[0, 1] = -y / level2, x / level2
         by_beam[1] = face * np.stack([-x * z / level, -y * z / level, level]) / square
         return Step(angles, by_beam)

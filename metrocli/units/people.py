@@ -64,9 +64,13 @@ def format_quantity(value: float, unit: str, std: float | None = None) -> str:
 
 def readable(value: float, dimension: str) -> tuple[float, str]:
     """Return a value and the unit of its dimension in which the number is nearest to 3 on a logarithmic scale."""
-    if not dimension or value == 0 or not math.isfinite(value):
-        return value, internal_unit(dimension) if dimension else ""
+    if not dimension:
+        return value, ""
     reported = [unit for unit in DIMENSIONS[dimension].units if unit.reported and not unit.offset]
+    if value == 0 or not math.isfinite(value):
+        # a ratio has no internal unit that a file may use
+        own = internal_unit(dimension)
+        return value, own if own in DIMENSIONS[dimension].symbols else reported[0].symbol
     return _nearest_to_3(value, dimension, tuple(unit.symbol for unit in reported))
 
 

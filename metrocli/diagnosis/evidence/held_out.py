@@ -10,8 +10,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import field, replace
 from functools import cached_property
+from itertools import pairwise
 from math import lgamma
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -22,20 +23,16 @@ from metrocli.diagnosis.evidence.likelihood import Fit, fit_at
 from metrocli.diagnosis.evidence.measurement import Measurement
 from metrocli.diagnosis.evidence.parts import Fixed
 from metrocli.diagnosis.evidence.prices import gain_of_columns
-from metrocli.diagnosis.evidence.reweighted import Reweighted
+from metrocli.diagnosis.evidence.reweighted import Reweighted, directions_without
 from metrocli.diagnosis.evidence.state import State
-from metrocli.diagnosis.linear.basis import Basis, members_of_equal_size
 from metrocli.diagnosis.linear.projection import VISIBLE
 from metrocli.diagnosis.linear.quadratics import quadratic, solved
 from metrocli.frozen import dataclass
 
-if TYPE_CHECKING:
-    from scipy.sparse import csr_matrix
-
 _MOST_HELD = 2_000_000
 """Numbers of the products without a fold that are kept"""
 _SHOWN = 1e-9
-"""Share of a row, or of a sum of rows of a member, below which its other rows say all of it"""
+"""Share of the squares of a column below which those before it say all of it"""
 
 
 def fold_numbers(m: Measurement) -> list[int]:
@@ -127,8 +124,13 @@ class Others:
         every, count = replace(without.products, dof=dof), len(state.fixed)
         shown = [j for j, part in enumerate(state.fixed) if fold.shown(part)]
         kept = [j for j in shown if not fold.holds(state.fixed[j])]
-        fixed, own = (tuple(state.fixed[j] for j in some) for some in (shown, kept))
         fit = fit_at(every.keeping(kept, count), state.logs)
+        if unseen := _unseen_parts(fit, [state.fixed[j].rank for j in kept]):
+            gone = {kept[at] for at in unseen}
+            shown, kept = ([j for j in some if j not in gone] for some in (shown, kept))
+            fit = fit_at(every.keeping(kept, count), state.logs)
+        fixed, own = (tuple(state.fixed[j] for j in some) for some in (shown, kept))
+        fit = _without_unseen_unknowns(fit)
         return cls(fold, state, fixed, state.fit.keeping(shown, count), without, own, every.columns(kept, count), fit)
 
     @classmethod
@@ -227,34 +229,36 @@ class Others:
             own = columns.of_rows(self.fold.mask)
             return gram - own.grams(basis), along - own.products(some)
         if "directions" not in self.cache:
-            directions, turn = _directions(state.own, rows)
+            directions, turn = directions_without(state.own, rows)
             self.cache["directions"] = directions, turn.T @ every[rows]
         directions, held_out = self.cache["directions"]
         shown = columns.products(directions)
         return gram - shown @ np.swapaxes(shown, 1, 2), along - shown @ held_out
 
 
-def _directions(basis: Basis, rows: Index) -> tuple[Array, csr_matrix]:
-    """Return columns U, (all rows, rows): without some rows `M - U U'` is left of what was `M = I - b b'`, b local.
+def _is_seen(fit: Fit) -> Mask:
+    """Return whether the readings of a fit tell each shared column from those before it."""
+    return np.asarray(np.diag(fit.lower) ** 2 > _SHOWN * np.diag(fit.products.gram))
 
-    `U = M_h R`, with the columns M_h of these rows and `R R' = M_hh^+`, the second returned, member by member: rows of
-    different members have nothing in common. A member all of whose rows are left out has no inverse.
+
+def _unseen_parts(fit: Fit, ranks: Sequence[int]) -> list[int]:
+    """Return the numbers of the fixed parts of which a column is like those before it, which the readings show."""
+    seen, ends = _is_seen(fit)[fit.fixed :], np.cumsum([0, *ranks]).tolist()
+    return [at for at, (a, b) in enumerate(pairwise(ends)) if not seen[a:b].all()]
+
+
+def _without_unseen_unknowns(fit: Fit) -> Fit:
+    """Return a fit whose density is without directions of the shared unknowns that its readings do not show.
+
+    They take no degree of freedom, and their determinant is that of rounding.
     """
-    from scipy.sparse import csr_matrix
-
-    member, every = basis.member[rows], np.arange(len(rows))
-    alone = every[member < 0]
-    places, values = [(alone, alone)], [np.ones(len(alone))]
-    for _, at in members_of_equal_size(member, basis.members):
-        local = basis.local[rows[at]]
-        left, vectors = np.linalg.eigh(np.eye(at.shape[1]) - local @ np.swapaxes(local, 1, 2))
-        root = vectors * np.where(left > _SHOWN, left, np.inf)[:, None] ** -0.5 @ np.swapaxes(vectors, 1, 2)
-        places.append((np.repeat(at, at.shape[1], axis=1).ravel(), np.tile(at, at.shape[1]).ravel()))
-        values.append(root.ravel())
-    numbers = tuple(np.concatenate(indices) for indices in zip(*places, strict=True))
-    turn = csr_matrix((np.concatenate(values), numbers), shape=(len(rows), len(rows)))
-    unit = csr_matrix((np.ones(len(rows)), (rows, every)), shape=(len(basis.local), len(rows)))
-    return ((unit - basis.sparse @ basis.sparse[rows].T) @ turn).toarray(), turn
+    first = fit.products.unknowns
+    lost = ~_is_seen(fit)[:first]
+    if not lost.any():
+        return fit
+    products = replace(fit.products, dof=fit.products.dof + int(lost.sum()))
+    log_det = fit.log_det - 2 * float(np.log(np.diag(fit.lower)[:first][lost]).sum())
+    return replace(fit, products=products, log_det=log_det)
 
 
 def _log_marginal(fit: Fit, ranks: float) -> float:

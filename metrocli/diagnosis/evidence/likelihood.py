@@ -23,6 +23,8 @@ _STEPS, _FAR, _STILL = 12, 2.0, 0.01
 """Steps of the sizes at most, the largest step of ln of a variance, and the change of the likelihood that ends them"""
 _LEAST = -25.0
 """Least ln of a variance ratio: nothing"""
+ROUNDING = 1e-16
+"""Share of the squares to which what is left of them is known"""
 
 
 @dataclass(frozen=True)
@@ -228,7 +230,8 @@ def fit_at(products: Products, logs: Array) -> Fit:
         log_det,
         lower,
         sought,
-        max(squares - float(sought @ sought), 1e-300),
+        # a difference of large numbers is known to their rounding
+        max(squares - float(sought @ sought), ROUNDING * products.squares, 1e-300),
         half,
         shown,
     )

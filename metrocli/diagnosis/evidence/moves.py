@@ -31,6 +31,8 @@ _APART = 0.3
 """Largest correlation of wrong readings that are taken in one step"""
 _ESTIMATES, _STAYS = 8, 1.03
 """Largest number of estimates of the noise of a group, and the ratio of two that ends them"""
+_NOISES = 1e-3, 1e6
+"""Least and largest noise of a group relative to the others: the weight of exact readings would be infinite"""
 _SHRINKS = 0.7
 """Largest factor by which steps of estimates are taken to shrink"""
 _NEARLY_NOISIER = AS_OTHERS**0.5
@@ -110,10 +112,12 @@ def _settled(state: State, noise: Mapping[int, float], watched: Sequence[int]) -
     Groups that have a noise of their own already are estimated anew with them, since the noise of the others changes.
     """
     # with no noise before, the first estimate is taken in any case; with some, the new one must not be worse
-    best, logs = state.score if state.measurement.noise else -np.inf, state.logs
+    known = state.measurement.noise
+    best, logs = state.score if known else -np.inf, state.logs
     held, before = dict[int, float](), dict[int, float]()
-    tried = {**dict.fromkeys(state.measurement.noise, 1.0), **noise}
+    tried = {**dict.fromkeys(known, 1.0), **noise}
     for _ in range(_ESTIMATES):
+        tried = {number: float(np.clip(r, *np.divide(_NOISES, known.get(number, 1.0)))) for number, r in tried.items()}
         trial = tried_noise(state, tried, [number for number in watched if number not in tried], logs)
         if trial.score < best:
             break

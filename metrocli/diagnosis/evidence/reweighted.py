@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -22,11 +23,16 @@ from metrocli.diagnosis.evidence.gain import PREDICTED
 from metrocli.diagnosis.evidence.likelihood import Fit, Products
 from metrocli.diagnosis.evidence.products import local_columns, shared_columns
 from metrocli.diagnosis.evidence.state import State
+from metrocli.diagnosis.linear.basis import Basis, members_of_equal_size
 from metrocli.diagnosis.linear.quadratics import solved
 from metrocli.frozen import dataclass
 
+if TYPE_CHECKING:
+    from scipy.sparse import csr_matrix
+
 _SHOWN = 1e-9
-"""Weight of a direction of local unknowns, in that before, below which no row shows it any more"""
+"""Weight of a direction of local unknowns, in that before, below which no row shows it any more; or share of rows of a
+member below which its other rows say all of them"""
 
 
 @dataclass(frozen=True)
@@ -150,6 +156,29 @@ def _hidden_directions(inside: Array, least: float) -> Array:
     gram = inside @ inside.T if p < n else inside.T @ inside
     values, vectors = eigh(gram, subset_by_value=(least, np.inf), check_finite=False)
     return np.asarray(inside.T @ (vectors / np.sqrt(values)) if p < n else vectors)
+
+
+def directions_without(basis: Basis, rows: Index) -> tuple[Array, csr_matrix]:
+    """Return columns U, (all rows, rows): without some rows `M - U U'` is left of what was `M = I - b b'`, b local.
+
+    `U = M_h R`, with the columns M_h of these rows and `R R' = M_hh^+`, the second returned, member by member: rows of
+    different members have nothing in common. A member all of whose rows are left out has no inverse.
+    """
+    from scipy.sparse import csr_matrix
+
+    member, every = basis.member[rows], np.arange(len(rows))
+    alone = every[member < 0]
+    places, values = [(alone, alone)], [np.ones(len(alone))]
+    for _, at in members_of_equal_size(member, basis.members):
+        local = basis.local[rows[at]]
+        left, vectors = np.linalg.eigh(np.eye(at.shape[1]) - local @ np.swapaxes(local, 1, 2))
+        root = vectors * np.where(left > _SHOWN, left, np.inf)[:, None] ** -0.5 @ np.swapaxes(vectors, 1, 2)
+        places.append((np.repeat(at, at.shape[1], axis=1).ravel(), np.tile(at, at.shape[1]).ravel()))
+        values.append(root.ravel())
+    numbers = tuple(np.concatenate(indices) for indices in zip(*places, strict=True))
+    turn = csr_matrix((np.concatenate(values), numbers), shape=(len(rows), len(rows)))
+    unit = csr_matrix((np.ones(len(rows)), (rows, every)), shape=(len(basis.local), len(rows)))
+    return ((unit - basis.sparse @ basis.sparse[rows].T) @ turn).toarray(), turn
 
 
 def _parts(order: Index, begins: Index) -> Iterator[Index]:

@@ -56,6 +56,8 @@ class Given:
         return np.asarray(gain_of_columns(np.diff(after), ranks, left, free).sum(axis=1))
 
 
+_EXACT, _EXACT_OF_ALL = 1e-10, 1e-15
+"""Variance of rounding, in the declared one and in that before anything was named"""
 TRIAL = 2
 """Steps of the sizes in a trial"""
 
@@ -124,17 +126,18 @@ class Scored:
     @cached_property
     def noise_freedoms(self) -> float:
         """Degrees of freedom of the white noise alone: without those of the declared one and of the random parts."""
-        return max(self.freedoms - PRIOR - float(self.fit.slopes[1].sum()), 1.0)
-
-    @property
-    def white_squares(self) -> float:
-        """Squares of the white noise, by its variance and degrees of freedom."""
-        return self.variance * self.noise_freedoms
+        return self.freedoms - PRIOR - float(self.fit.slopes[1].sum())
 
     @property
     def variance(self) -> float:
         """Variance of the noise, in that declared."""
         return float(self.fit.squares / max(self.freedoms, 1.0))
+
+    @property
+    def is_exact(self) -> bool:
+        """Whether what it leaves is the rounding of numbers, in which there is nothing to find."""
+        m = self.measurement
+        return self.variance < max(_EXACT, _EXACT_OF_ALL * m.squares / m.dof)
 
     @cached_property
     def score(self) -> float:

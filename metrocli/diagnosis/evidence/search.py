@@ -74,7 +74,7 @@ def forward(
     quiet: set[int] = set()
     begin = state.score if since is None else since
     for _ in range(most):
-        if state.measurement.job.budget.spent():
+        if state.is_exact or state.measurement.job.budget.spent():
             break
         best = _best(state, [move for move in moves(state, quiet) if not any(map(move.is_like, without))])
         if best is None or best.score <= state.score + max(_GAINED, least * (state.score - begin)):

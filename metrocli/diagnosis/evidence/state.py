@@ -14,6 +14,7 @@ import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index, Mask
+from metrocli.diagnosis.evidence.likelihood import ROUNDING
 from metrocli.diagnosis.evidence.parts import LARGEST, READINGS, Fixed
 from metrocli.diagnosis.evidence.prices import FURTHER, OF_ALL, gain_of_columns
 from metrocli.diagnosis.evidence.products import local_columns, products_of_members, shared_parts
@@ -162,7 +163,7 @@ class State(Scored):
         """
         dof, every = self.freedoms, self.fit.squares
         own = max(squares, 1e-300) / max(freedoms, 1e-9)
-        others = max(every - squares, 1e-300) / max(dof - freedoms, 1.0)
+        others = max(every - squares, ROUNDING * every, 1e-300) / max(dof - freedoms, 1.0)
         ratio = float(np.sqrt(own / others))
         if min(freedoms, dof - freedoms) < 1 or not 0 < squares < every:
             return ratio, 0.0

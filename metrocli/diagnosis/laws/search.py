@@ -41,7 +41,7 @@ def with_laws(state: State, plain: State, ordered: Ordered = map) -> tuple[State
     the score of the state by a price of its own.
     """
     m = state.measurement
-    if not m.job.places or m.system.rows > _MOST_ROWS or m.job.budget.ended:
+    if not m.job.places or m.system.rows > _MOST_ROWS or m.job.budget.ended or state.is_exact:
         return state, ()
     library = Library(m.job, plain.measurement.system)
     best: tuple[Lawful, State, Lawful] | None = None

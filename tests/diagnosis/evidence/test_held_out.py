@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from metrocli.cli.commands import run
-from metrocli.diagnosis.evidence.held_out import _directions
-from metrocli.diagnosis.evidence.reweighted import _hidden_directions
+from metrocli.diagnosis.evidence.reweighted import _hidden_directions, directions_without
 from metrocli.diagnosis.linear.basis import Basis
 from metrocli.diagnosis.rounds import searched
 from metrocli.project.diagnosed import adjusted_job_of
@@ -28,7 +27,7 @@ def test_rows_of_members_are_left_out_as_in_dense_matrices() -> None:
         whole[rows, 2 * number : 2 * number + 2] = local[rows]
     basis = Basis(local, member, 4, np.zeros((len(member), 0)))
     out = np.flatnonzero((member == 3) | (np.arange(len(member)) % 4 == 0))
-    directions, turn = _directions(basis, out)
+    directions, turn = directions_without(basis, out)
     left = np.eye(len(member)) - whole @ whole.T
     inverse = np.linalg.pinv(left[np.ix_(out, out)], rcond=1e-9, hermitian=True)
     np.testing.assert_allclose(directions @ directions.T, left[:, out] @ inverse @ left[out], atol=1e-12)
