@@ -99,7 +99,7 @@ def _poses(job: Job[Settings, Files], simulation: MachineSimulation, rng: np.ran
         shares = rng.random((len(machine.axes), simulation.points * (_TRIES if settings.method == PROBING else 1)))
         table = poses_at(settings, files, shares, 1.0 + 10 * simulation.error)
         n = simulation.points if settings.method == PROBING else len(table)
-        table = Table({name: column[:n] for name, column in table.columns.items()}, table.units)
+        table = table.selected(np.arange(n))
     more = clock(simulation, len(table)) | table.conditions("t")
     names = [f"from_{axis.letter.lower()}" for axis in machine.axes]
     more |= sides_of(names, commanded(machine, table), more["t"])

@@ -39,7 +39,7 @@ def by_set_up(table: Table) -> Table:
     given = [np.array(table.texts(name)) for name in ("tool", "station") if name in table]
     keys = [np.unique(names, return_inverse=True)[1] for names in given]
     order = np.lexsort([np.arange(len(table)), *keys])
-    return Table({name: column[order] for name, column in table.columns.items()}, table.units)
+    return table.selected(order)
 
 
 def with_room(settings: Settings, table: Table, files: Files) -> Table:
@@ -53,7 +53,7 @@ def with_room(settings: Settings, table: Table, files: Files) -> Table:
     if not inside.any():
         text = f"in none of {len(table)} poses can the probe stand {_CLEAR:g} mm off its ball within the travel"
         raise InputError(f"{text}: check the places of the balls and the tools")
-    return Table({name: column[inside] for name, column in table.columns.items()}, table.units)
+    return table.selected(inside)
 
 
 def program_of_poses(settings: Settings, table: Table, files: Files) -> str:
