@@ -93,8 +93,7 @@ def simulated_turning(job: Job[Settings, Files], simulation: MachineSimulation, 
 def _poses(job: Job[Settings, Files], simulation: MachineSimulation, rng: np.random.Generator) -> Table:
     """Return the poses of a job, or random ones, with times, sides, and temperatures if it gets warmer."""
     settings, files = job.settings, job.files
-    machine, table = machine_of(settings), {STANDSTILL: files.points, LENGTHS: files.lengths}.get(settings.method)
-    table = files.probing if settings.method == PROBING else table
+    machine, table = machine_of(settings), files.poses
     if table is None:
         shares = rng.random((len(machine.axes), simulation.points * (_TRIES if settings.method == PROBING else 1)))
         table = poses_at(settings, files, shares, 1.0 + 10 * simulation.error)
@@ -206,10 +205,8 @@ class _Reading:
             position = moved_by(machine, position, gap)
             if np.abs(gap).max() < _MET:
                 break
-            given = {**observations.conditions, **machine.conditions(position)}
-            observations = replace(
-                observations, conditions=given, index={**observations.index, **machine.index(position)}
-            )
+            there = machine.conditions(position)
+            observations = observations.with_conditions(there).with_index(machine.index(position))
         else:
             text = "the probe does not reach the balls by X, Y and Z: give poses with the dx, dy, dz of an R-test"
             raise InputError([self.table.fault(text)])
