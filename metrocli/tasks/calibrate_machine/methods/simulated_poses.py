@@ -97,8 +97,8 @@ def _poses(job: Job[Settings, Files], simulation: MachineSimulation, rng: np.ran
     if table is None:
         shares = rng.random((len(machine.axes), simulation.points * (_TRIES if settings.method == PROBING else 1)))
         table = poses_at(settings, files, shares, 1.0 + 10 * simulation.error)
-        n = simulation.points if settings.method == PROBING else len(table)
-        table = table.selected(np.arange(n))
+        if settings.method == PROBING:
+            table = table.selected(np.arange(len(table)) < simulation.points)
     more = clock(simulation, len(table)) | table.conditions("t")
     names = [f"from_{axis.letter.lower()}" for axis in machine.axes]
     more |= sides_of(names, commanded(machine, table), more["t"])
