@@ -31,7 +31,6 @@ from metrocli.tasks.calibrate_machine.files import TRACK, Inputs
 from metrocli.tasks.calibrate_machine.machine_settings import AxesSettings, AxisSettings, MachineNoise, MachineSettings
 from metrocli.tasks.calibrate_machine.plans.path_search import edges_and_diagonals
 from metrocli.tasks.calibrate_machine.plans.planned import planned_problem
-from metrocli.tasks.calibrate_machine.plans.settings import PathPlan
 from metrocli.tasks.calibrate_machine.rank.identifiability import identify
 from metrocli.tasks.calibrate_machine.settings import MachineSimulation, Settings
 from metrocli.tasks.calibrate_machine.simulation import simulated
@@ -178,7 +177,7 @@ def paths() -> None:
             ("planned", Path.of(vertices, np.zeros(len(vertices), dtype=int))),
         ):
             try:
-                ratio = f"{identify(planned_problem(job, PathPlan(), path)).ratio:.1f}"
+                ratio = f"{identify(planned_problem(job, path)).ratio:.1f}"
             except UndeterminedError as error:
                 ratio = str(error).splitlines()[0]
             print(f"{knots!s:14s} {label:20s} {len(path.lengths):3d} legs {path.length / UM:5.1f} m  {ratio}")

@@ -79,7 +79,7 @@ class Result:
     """Lines of text that the terminal shows with the result, such as a rotation matrix or rejected readings."""
     details: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     """Further figures of an estimate, by its name: U, k, ...; in the unit of the estimate, except those in `plain`."""
-    plain: tuple[str, ...] = ()
+    plain: tuple[str, ...] = ("dof",)
     """Names of details that are plain numbers without a unit."""
     list_offset: float = 0.0
     """Distance of places from where the files list them, relative to what is plausible; not written to the file."""

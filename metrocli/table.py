@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import field, replace
 from typing import TYPE_CHECKING, Any
 
-from metrocli.arrays import Array, Bytes, Texts, Values
+from metrocli.arrays import Array, Bytes, Index, Mask, Texts, Values
 from metrocli.errors import Fault
 from metrocli.frozen import dataclass
 
@@ -124,6 +124,18 @@ class Table:
                 if unit not in ("", TEXT):
                     units[name] = unit
         return replace(self, columns=merged, units=units)
+
+    def changed(self, columns: Mapping[str, Values]) -> Table:
+        """Return the table with other or further columns by name, with values in internal units."""
+        return replace(self, columns={**self.columns, **columns})
+
+    def selected(self, rows: Index | Mask) -> Table:
+        """Return some rows of the table, with their lines; remarks of its reader are left out."""
+        import numpy as np
+
+        lines = [self.lines[i] for i in np.arange(len(self))[rows]] if self.lines else ()
+        columns = {name: column[rows] for name, column in self.columns.items()}
+        return replace(self, columns=columns, lines=lines, warnings=())
 
     def __len__(self) -> int:
         return len(next(iter(self.columns.values()))) if self.columns else 0

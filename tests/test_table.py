@@ -27,3 +27,18 @@ def test_an_absent_column_has_its_default_or_is_an_error() -> None:
 
 def test_an_empty_table() -> None:
     assert len(Table({})) == 0
+
+
+def test_selected_rows_keep_their_lines_in_the_file() -> None:
+    read = Table(TABLE.columns, TABLE.units, "list.csv", (2, 5), warnings=("an unused column",))
+    for rows in (np.array([False, True]), np.array([1])):
+        chosen = read.selected(rows)
+        assert (chosen.texts("name"), chosen.lines, chosen.units, chosen.file) == (["b"], [5], {"x": "mm"}, "list.csv")
+        assert not chosen.warnings
+
+
+def test_changed_columns_are_in_place_of_the_old_ones() -> None:
+    changed = TABLE.changed({"x": np.array([7.0, 8.0])})
+    assert list(changed) == list(TABLE)
+    assert changed.stacked(["x", "n"]).tolist() == [[7, 3], [8, 4]]
+    assert TABLE.numbers("x").tolist() == [1.0, 2.0]

@@ -81,7 +81,7 @@ def with_aspects(group: Group, aspects: Mapping[str, Aspect], blocks: Mapping[st
     # in the first round a group has no aspects yet: then nothing has changed
     known = conditions.keys() & before.keys()
     changes = [float(np.abs(conditions[name] - before[name]).max(initial=0.0)) for name in known]
-    group = replace(group, observations=replace(observations, conditions={**before, **conditions}))
+    group = replace(group, observations=observations.with_conditions(conditions))
     return group, max(changes, default=0.0)
 
 

@@ -65,6 +65,10 @@ class Solution:
         """Probability of a sum of squares at least as large if model and noise are right (global test)."""
         return chi_square_tail(self.dof, self.cost) if self.dof > 0 else float("nan")
 
+    def group(self, name: str) -> Group:
+        """Return the group of this name, with its final weights."""
+        return next(group for group in self.groups if group.name == name)
+
     def covariance_or_raise(self) -> Covariance:
         """Return the covariance.
 

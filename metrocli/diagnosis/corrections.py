@@ -161,7 +161,7 @@ def other_scales(key: str, table: Table, groups: Iterable[Sequence[str]]) -> Ite
                     table.file, ROWS if where.startswith("in") else "scales", len(names),
                 )  # fmt: skip
                 columns = {name: table.numbers(name) * np.where(rows, factor, 1.0) for name in names}
-                yield mistake, replace(table, columns={**table.columns, **columns})
+                yield mistake, table.changed(columns)
 
 
 def other_columns(key: str, table: Table, names: Sequence[str], usual: float = 0) -> Iterator[tuple[Mistake, Table]]:
@@ -289,9 +289,7 @@ def _swapped(table: Table, one: str, other: str) -> Table:
 
 def _ordered(table: Table, names: Sequence[str], order: Sequence[str]) -> Table:
     """Return the table with the columns `order` as `names`."""
-    return replace(
-        table, columns={**table.columns, **{name: table.columns[old] for name, old in zip(names, order, strict=True)}}
-    )
+    return table.changed({name: table.columns[old] for name, old in zip(names, order, strict=True)})
 
 
 _HANDED = {words for words, _ in (*starmap(_swap, combinations(_AXES, 2)), *map(_sign, _AXES))}

@@ -173,7 +173,7 @@ def _with_group(model: Model, name: str, error: StatedCorrelation, basis: Array,
     relative = np.sqrt(((observations.deviations / typical[:, None]) ** 2).mean(axis=0))
     keys = tuple(f"{NAME} {number} {j}" for j in range(len(basis)))
     conditions: Mapping[str, Array] = dict(zip(keys, basis * relative, strict=True))
-    group = replace(group, observations=replace(observations, conditions={**observations.conditions, **conditions}))
+    group = replace(group, observations=observations.with_conditions(conditions))
     components, first = len(observations.readings), observations.unit_of_each[0]
     dimension = next((quantity for quantity in units.DIMENSIONS if units.internal_unit(quantity) == first), "")
     parameters = tuple(Parameter(f"c{j + 1}", dimension, std) for j in range(components * len(basis)))

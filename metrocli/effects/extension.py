@@ -266,7 +266,7 @@ def _spliced(
     chain: Chain = group.chain.spliced([link])
     if apart:
         touched = _touched(model, group, effect, instances)
-        observations = replace(observations, index={**observations.index, link.blocks[-1]: touched})
+        observations = observations.with_index({link.blocks[-1]: touched})
     return replace(group, chain=chain, observations=observations)
 
 

@@ -13,7 +13,7 @@ from metrocli.expressions.expression import Expression, ExpressionError, parse
 from metrocli.frozen import dataclass
 from metrocli.nodes import Node
 from metrocli.settings import BAD, Schema
-from metrocli.settings.values import refuse
+from metrocli.settings.values import OfText, refuse
 
 SMALLEST, LARGEST = 1e-100, 1e100
 """Range of values in base units whose squares and products do not overflow"""
@@ -41,13 +41,10 @@ class Measure:
 
 
 @dataclass(frozen=True)
-class AnyQuantity:
+class AnyQuantity(OfText):
     """A number with any known unit or a product of units; a number without a unit is a plain number."""
 
     expects = "a number with its unit such as '50.000623 mm' or '1180 kg/m^3', or a plain number"
-
-    def fits(self, node: Node) -> bool:
-        return node.kind == "scalar" and not node.empty
 
     def read(self, node: Node, faults: list[Fault]) -> Any:
         text = node.text.strip()
@@ -114,13 +111,10 @@ def fault_in(node: Node, error: ExpressionError) -> Fault:
 
 
 @dataclass(frozen=True)
-class ModelText:
+class ModelText(OfText):
     """A model such as `ls*(1 + alpha*theta)`."""
 
     expects = "an expression such as 'ls*(1 + alpha*theta) + d'"
-
-    def fits(self, node: Node) -> bool:
-        return node.kind == "scalar" and not node.empty
 
     def read(self, node: Node, faults: list[Fault]) -> Any:
         if not self.fits(node):

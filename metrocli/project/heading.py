@@ -18,6 +18,7 @@ from metrocli.project.ranges import Ranges
 from metrocli.project.requirements import Requirement, Requirements
 from metrocli.settings import BAD, Choice, ListOf, Schema, Section, Text, path_beside, setting
 from metrocli.settings.certificate import Certificate
+from metrocli.settings.values import OfText
 from metrocli.words import suggestion
 
 FORMAT_VERSION = "1"
@@ -102,13 +103,10 @@ class _Definitions:
         return {"type": "array", "items": Section(Definition).schema()}
 
 
-class FileBeside:
+class FileBeside(OfText):
     """The path of a file, relative to the file that names it; read as its node, which has both."""
 
     expects = "the path of a file"
-
-    def fits(self, node: Node) -> bool:
-        return node.kind == "scalar" and not node.empty
 
     def read(self, node: Node, faults: list[Fault]) -> Any:
         if self.fits(node) and "\0" not in node.text:
@@ -120,13 +118,10 @@ class FileBeside:
         return {"type": "string"}
 
 
-class _Output:
+class _Output(OfText):
     """The value of `output:`, the path of the result file."""
 
     expects = "the path of a file that ends in .h5"
-
-    def fits(self, node: Node) -> bool:
-        return node.kind == "scalar" and not node.empty
 
     def read(self, node: Node, faults: list[Fault]) -> Any:
         if self.fits(node) and node.text.endswith(".h5") and "\0" not in node.text:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import field
+from dataclasses import field, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
@@ -47,6 +47,11 @@ class Job(Generic[S, F]):
     effects: Sequence[RequestedEffect] = ()
     workers: Workers | None = None
     """Workers that compute the chunks of a chunked kind; the threads of this process unless given"""
+
+    def with_files(self, **contents: Any) -> Job[S, F]:
+        """Return the job with other contents of some of its files, named as in `files`."""
+        files: Any = self.files
+        return replace(self, files=replace(files, **contents))
 
 
 @dataclass(frozen=True)

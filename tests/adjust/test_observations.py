@@ -19,3 +19,11 @@ def test_readings_without_a_covariance_follow_those_that_have_one() -> None:
         both, n = first.followed_by(second), first.count
         apart = [first.whitened(values[:, :n]), second.whitened(values[:, n:])]
         np.testing.assert_allclose(both.whitened(values), np.concatenate(apart, axis=1), rtol=1e-12)
+
+
+def test_readings_are_in_the_order_of_their_times_or_of_their_numbers() -> None:
+    without = Observations(np.zeros((1, 3)), np.ones(1), conditions={"temp": np.full(3, 20.0)})
+    assert without.order.tolist() == [0.0, 1.0, 2.0]
+    timed = without.with_conditions({"t": np.array([5.0, 1.0, 3.0])}).with_index({"point": np.array([0, 1, 0])})
+    assert timed.order.tolist() == [5.0, 1.0, 3.0]
+    assert (timed.conditions.keys(), timed.index.keys()) == ({"temp", "t"}, {"point"})

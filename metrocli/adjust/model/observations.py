@@ -105,6 +105,11 @@ class Observations:
         return self.units or (self.unit,) * len(self.readings)
 
     @property
+    def order(self) -> Array:
+        """What puts the readings in order, (n,): their times, or without these their numbers."""
+        return self.conditions.get("t", np.arange(self.count, dtype=float))
+
+    @property
     def deviations(self) -> Array:
         """Standard deviation of each component, (d, n)."""
         if self.covariance is None:
@@ -179,6 +184,14 @@ class Observations:
     def with_readings(self, readings: Array) -> Observations:
         """Return the same observations with other readings."""
         return replace(self, readings=readings)
+
+    def with_index(self, index: Mapping[str, Index]) -> Observations:
+        """Return the readings with other or further members of blocks that they use."""
+        return replace(self, index={**self.index, **index})
+
+    def with_conditions(self, conditions: Mapping[str, Array]) -> Observations:
+        """Return the readings with other or further conditions."""
+        return replace(self, conditions={**self.conditions, **conditions})
 
     def followed_by(self, others: Observations) -> Observations:
         """Return these readings followed by others of the same kind."""

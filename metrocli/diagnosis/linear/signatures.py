@@ -172,7 +172,7 @@ def columns_by_splicing(system: Linearised, group: Group, blocks: Mapping[str, B
     The other links keep their values and derivatives, which saves their evaluation. None if the inserted link changes
     the values, so that the whole chain must be evaluated.
     """
-    before = next(other for other in system.model.groups if other.name == group.name)
+    before = system.model.group(group.name)
     links, old = group.chain.links, before.chain.links
     # identity and not equality: the links of an extended chain are the very objects of the old one
     at = next((i for i, link in enumerate(links) if i == len(old) or link is not old[i]), 0)

@@ -100,7 +100,7 @@ def _variations(model: Model, readings: Observations) -> Iterator[tuple[str, Obs
     """Yield sightings as they would be in the other face."""
     face = readings.conditions.get(FACE)
     if face is not None and (face > 0).all():
-        yield "in face 2", replace(readings, conditions={**readings.conditions, FACE: -face})
+        yield "in face 2", readings.with_conditions({FACE: -face})
 
 
 def noise_of(solved: AdjustedNetwork, model: str, factor: float) -> JobNoise:
@@ -119,5 +119,4 @@ def noise_of(solved: AdjustedNetwork, model: str, factor: float) -> JobNoise:
 
 
 def _blocks_of(group: Group) -> Index:
-    when = group.observations.conditions.get("t", np.arange(group.observations.count, dtype=float))
-    return in_blocks(when)
+    return in_blocks(group.observations.order)

@@ -88,7 +88,7 @@ def _angles(job: Job[Settings, Files]) -> Iterator[_Other]:
         if name in table:
             write = f"{other} in the heading"
             mistake = Mistake("readings", f"{name} {words}", write, file=table.file, sort=sort, columns=0)
-            yield mistake, replace(job, files=replace(job.files, readings=_renamed(table, name, other)))
+            yield mistake, job.with_files(readings=_renamed(table, name, other))
 
 
 def _renamed(table: Table, name: str, other: str) -> Table:
@@ -99,10 +99,7 @@ def _renamed(table: Table, name: str, other: str) -> Table:
 
 
 def _with(job: Job[Settings, Files], mistake: Mistake, changed: dict[str, Array]) -> _Other:
-    table = job.files.sightings
-    return mistake, replace(
-        job, files=replace(job.files, readings=replace(table, columns={**table.columns, **changed}))
-    )
+    return mistake, job.with_files(readings=job.files.sightings.changed(changed))
 
 
 def _exchanged(job: Job[Settings, Files], readings: NetworkReadings, rough: NetworkStart) -> Iterator[_Other]:
@@ -127,8 +124,7 @@ def _exchanged(job: Job[Settings, Files], readings: NetworkReadings, rough: Netw
                 mistake = _exchange("readings", words, f"{names[second]} for {names[first]} in {where}", seen.table)
                 texts = np.array(seen.table.texts("point"), dtype=object)
                 texts[lines] = names[second]
-                columns = {**seen.table.columns, "point": texts.astype(str)}
-                yield mistake, replace(job, files=replace(job.files, readings=replace(seen.table, columns=columns)))
+                yield mistake, job.with_files(readings=seen.table.changed({"point": texts.astype(str)}))
             elif first < second:
                 exchanged.setdefault((first, second), []).append(station)
     for (first, second), at in exchanged.items():
@@ -137,7 +133,7 @@ def _exchanged(job: Job[Settings, Files], readings: NetworkReadings, rough: Netw
         words = f"{pair[0]} and {pair[1]} are exchanged at station {' or '.join(stations[i] for i in at)}"
         write = f"{pair[1]} for {pair[0]} and {pair[0]} for {pair[1]} in the rows of {where}"
         mistake = _exchange("readings", words, write, seen.table)
-        yield mistake, replace(job, files=replace(job.files, readings=_swapped(seen.table, pair, where)))
+        yield mistake, job.with_files(readings=_swapped(seen.table, pair, where))
     table = job.files.points
     if not isinstance(table, Table):
         return
@@ -146,7 +142,7 @@ def _exchanged(job: Job[Settings, Files], readings: NetworkReadings, rough: Netw
         pair = names[first], names[second]
         words = f"{pair[0]} and {pair[1]} are exchanged"
         mistake = _exchange("points", words, f"{pair[1]} for {pair[0]}, and the reverse", table)
-        yield mistake, replace(job, files=replace(job.files, points=_swapped(table, pair)))
+        yield mistake, job.with_files(points=_swapped(table, pair))
 
 
 def _renamed_rows(point: Index, rows: Index, places: Array, middle: Array) -> dict[tuple[int, int], list[int]]:
@@ -236,7 +232,7 @@ def _stations(job: Job[Settings, Files], readings: NetworkReadings) -> Iterator[
         words = f"{names[0]} and {names[1]} are exchanged"
         write = f"{names[1]} for {names[0]} and {names[0]} for {names[1]}"
         mistake = _exchange("stations", words, write, table)
-        yield mistake, replace(job, files=replace(job.files, stations=_swapped(table, names, column="station")))
+        yield mistake, job.with_files(stations=_swapped(table, names, column="station"))
 
 
 def _pairs(own: Array, middle: Array) -> Iterator[tuple[int, int]]:
@@ -257,7 +253,7 @@ def _swapped(table: Table, names: tuple[str, str], station: str = "", column: st
     changed = texts.copy()
     changed[here & (texts == names[0])] = names[1]
     changed[here & (texts == names[1])] = names[0]
-    return replace(table, columns={**table.columns, column: changed.astype(str)})
+    return table.changed({column: changed.astype(str)})
 
 
 def _heights(job: Job[Settings, Files], readings: NetworkReadings, rough: NetworkStart) -> Iterator[_Other]:
@@ -287,4 +283,4 @@ def _heights(job: Job[Settings, Files], readings: NetworkReadings, rough: Networ
 def _turned(job: Job[Settings, Files], table: Table, rows: Index) -> Job[Settings, Files]:
     values = table.numbers("dh").copy()
     values[rows] *= -1
-    return replace(job, files=replace(job.files, heights=replace(table, columns={**table.columns, "dh": values})))
+    return job.with_files(heights=table.changed({"dh": values}))

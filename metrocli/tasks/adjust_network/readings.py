@@ -19,7 +19,7 @@ from metrocli.table import Table
 from metrocli.tasks.adjust_network import noise as n
 from metrocli.tasks.adjust_network.settings import INTERFEROMETER, Files, NetworkInstrument, Settings
 from metrocli.tasks.adjust_network.sightings import PolarSightings, Stations, refuse_pairs, sightings_of, stations_of
-from metrocli.tasks.shared.lists import matched, negative, refuse, rows_of, sigmas, sticking
+from metrocli.tasks.shared.lists import matched, negative, refuse, sigmas, sticking
 from metrocli.uncertainty.predicted import POINTS_COVARIANCE, points_of
 from metrocli.words import listed
 
@@ -40,7 +40,7 @@ class Lengths:
         if not kept.size:
             return None
         ends = self.first[kept], self.second[kept]
-        return Lengths(rows_of(self.table, kept), *ends, self.values[kept], self.sigma[kept])
+        return Lengths(self.table.selected(kept), *ends, self.values[kept], self.sigma[kept])
 
 
 @dataclass(frozen=True)

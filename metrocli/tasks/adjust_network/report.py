@@ -78,7 +78,6 @@ def report(solved: AdjustedNetwork, noise: JobNoise) -> Result:
             *(f"its list decides, since a mirror image fits as well: {place.words}" for place in solved.second[:_ONCE]),
         ),
         details=noise.details([estimate.name for estimate in delivered]),
-        plain=("dof",),
         list_offset=solved.list_offset,
     )
 

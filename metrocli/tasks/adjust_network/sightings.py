@@ -11,7 +11,7 @@ from metrocli.errors import InputError, all_faults
 from metrocli.frozen import dataclass
 from metrocli.table import ABSENT, Table
 from metrocli.tasks.adjust_network.settings import INTERFEROMETER, Files, NetworkInstrument, Settings
-from metrocli.tasks.shared.lists import matched, negative, refuse, rows_of
+from metrocli.tasks.shared.lists import matched, negative, refuse
 
 _PAIRS = (("az", "hz"), ("el", "zd"))
 QUANTITIES = ("az", "el", "d")
@@ -77,7 +77,7 @@ def stations_of(settings: Settings, files: Files, names: Sequence[str]) -> Stati
             over = np.full(n, -1, dtype=np.intp)
             rows = np.array([i for i, text in enumerate(_texts(table, "over")) if text], dtype=np.intp)
             if rows.size:
-                over[rows] = matched(rows_of(table, rows), "over", names, "the points")
+                over[rows] = matched(table.selected(rows), "over", names, "the points")
     chosen = list(settings.instruments.values())
     levelled = np.array([chosen[i].is_levelled for i in instrument])
     height, gamma = table.numbers("height", np.nan), table.numbers("gamma", np.nan)
@@ -113,7 +113,7 @@ def sightings_of(
             setup = np.zeros(n, dtype=np.intp)
             rows = np.array([i for i, text in enumerate(_texts(table, "setup")) if text], dtype=np.intp)
             if rows.size:
-                setup[rows] = matched(rows_of(table, rows), "setup", setups[1:], "the set-ups") + 1
+                setup[rows] = matched(table.selected(rows), "setup", setups[1:], "the set-ups") + 1
     values, face = _reduced(table)
     sigma = np.stack([_sigma(table, *pair) for pair in (("az", "hz"), ("el", "zd"), ("d", "d"))])
     with all_faults() as each:

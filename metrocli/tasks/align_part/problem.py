@@ -138,7 +138,7 @@ def build(
 def _of_exposures(exposed: Exposures, observations: Observations) -> Observations:
     """Return readings of images with their exposure, at which the spindle has one pose for all cameras."""
     observations = exposed.readings(observations)
-    return replace(observations, index={**observations.index, spindle.SPINDLE: observations.index["view"]})
+    return observations.with_index({spindle.SPINDLE: observations.index["view"]})
 
 
 def _with_poses(

@@ -119,7 +119,6 @@ def report(
             *in_words(tables[TABLE]),
         ),
         details=details,
-        plain=("dof",),
     )
 
 

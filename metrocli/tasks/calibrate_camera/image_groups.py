@@ -46,7 +46,7 @@ def with_groups(model: Model, rig: str) -> Model:
         series = _by_pauses(first)
     groups = {TURN: turns, SERIES: series}
     index = {kind: number[view] for kind, (_, number) in groups.items()}
-    grouped = replace(observations, index={**observations.index, **index})
+    grouped = observations.with_index(index)
     places = {kind: Place(names if len(names) > 1 else (), kind) for kind, (names, _) in groups.items()}
     return replace(model.with_group(model.readings[0].with_observations(grouped)), places={**model.places, **places})
 

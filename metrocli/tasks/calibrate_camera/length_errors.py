@@ -37,23 +37,6 @@ class LengthErrors:
     notes: tuple[str, ...]
 
 
-def must_not_be_used(tests: Table | None, bars: Table | None) -> None:
-    """Raise InputError if a test length is a scale bar too: a length of the adjustment proves nothing about it."""
-    if tests is None or bars is None:
-        return
-    used = {frozenset(pair) for pair in zip(bars.texts("from"), bars.texts("to"), strict=True)}
-    pairs = [frozenset(pair) for pair in zip(tests.texts("from"), tests.texts("to"), strict=True)]
-    both = [row for row, pair in enumerate(pairs) if pair in used]
-    if both:
-        raise InputError(
-            tests.faults_at(
-                both,
-                lambda row: f"the length {' - '.join(sorted(pairs[row]))} is a scale bar of this adjustment too",
-                lambda row: "a length either gives the scale or tests it: take it out of one of the two files",
-            )
-        )
-
-
 def length_errors(tests: Table, solution: Solution, seen: Index, limit: LengthLimit | None) -> LengthErrors:
     """Return the errors of test lengths; `seen` (targets,) is the number of images of each target.
 

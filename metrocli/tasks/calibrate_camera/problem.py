@@ -51,7 +51,7 @@ class CameraProblem(Modelled):
         keep = chosen[self.images.observations.index["view"]]
         numbers = np.cumsum(chosen) - 1
         observations = self.images.observations.selected(keep)
-        observations = replace(observations, index={**observations.index, "view": numbers[observations.index["view"]]})
+        observations = observations.with_index({"view": numbers[observations.index["view"]]})
         model = self.model.with_group(self.images.with_observations(observations))
         if self.rig == "cmm":
             return self.with_model(model)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from metrocli.adjust.model.chain import Chain
@@ -15,7 +13,9 @@ from metrocli.instruments import camera
 from metrocli.instruments.frames import DistanceBetween
 from metrocli.table import Table
 from metrocli.tasks.calibrate_camera.problem import CameraProblem
-from metrocli.tasks.shared.images.sightings import Sighted
+from metrocli.tasks.calibrate_camera.settings import FEWEST, Files, Settings
+from metrocli.tasks.shared.images.settings import ESTIMATE
+from metrocli.tasks.shared.images.sightings import Needs, Sighted, sightings
 from metrocli.tasks.shared.lists import repeated
 
 _STRANGE = "not in the list of targets"
@@ -40,13 +40,41 @@ def check_targets(rig: str, sighted: Sighted) -> None:
         )
 
 
+def sighted_in(settings: Settings, files: Files) -> Sighted:
+    """Return what the images of a job show, one camera or several.
+
+    Raises InputError for readings that contradict the list of targets, and for test lengths that are scale bars too.
+    """
+    sigma = float("nan") if settings.targets == ESTIMATE else 0.0
+    needs = Needs(FEWEST[settings.rig], float("nan") if settings.rig == "network" else sigma, sigma)
+    sighted = sightings(settings, files.observations, files.targets, files.images, needs)
+    _must_not_be_used(files.test_lengths, files.scale_bars)
+    return sighted
+
+
+def _must_not_be_used(tests: Table | None, bars: Table | None) -> None:
+    """Raise InputError if a test length is a scale bar too: a length of the adjustment proves nothing about it."""
+    if tests is None or bars is None:
+        return
+    used = {frozenset(pair) for pair in zip(bars.texts("from"), bars.texts("to"), strict=True)}
+    pairs = [frozenset(pair) for pair in zip(tests.texts("from"), tests.texts("to"), strict=True)]
+    both = [row for row, pair in enumerate(pairs) if pair in used]
+    if both:
+        raise InputError(
+            tests.faults_at(
+                both,
+                lambda row: f"the length {' - '.join(sorted(pairs[row]))} is a scale bar of this adjustment too",
+                lambda row: "a length either gives the scale or tests it: take it out of one of the two files",
+            )
+        )
+
+
 def readings(sighted: Sighted, rig: str) -> Observations:
     """Return the readings; with rig cmm all share one camera pose."""
     observations = sighted.observations
-    index = dict(observations.index)
-    if rig == "cmm":
-        index[camera.TAPER] = np.zeros(observations.count, dtype=np.intp)
-    return replace(observations, index=index)
+    if rig != "cmm":
+        return observations
+    return observations.with_index({camera.TAPER: np.zeros(observations.count, dtype=np.intp)})
 
 
 _LIKE = 2.0

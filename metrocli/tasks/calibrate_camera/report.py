@@ -115,7 +115,6 @@ def report(problem: CameraProblem, job: Settings, adjusted: AdjustedImages, test
             *in_words(hidden),
         ),
         details=adjusted.details(p.names),
-        plain=("dof",),
     )
 
 

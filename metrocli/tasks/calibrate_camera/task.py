@@ -21,14 +21,14 @@ from metrocli.tasks.calibrate_camera.build import build, robustly_started
 from metrocli.tasks.calibrate_camera.compare import compare_models
 from metrocli.tasks.calibrate_camera.diagnosis import adjusted_job, all_covariates
 from metrocli.tasks.calibrate_camera.effects import EFFECTS, PLACES
-from metrocli.tasks.calibrate_camera.length_errors import must_not_be_used
 from metrocli.tasks.calibrate_camera.multi_camera import task as multi_camera
 from metrocli.tasks.calibrate_camera.multi_camera.alone import pinholes
 from metrocli.tasks.calibrate_camera.multi_camera.paired import as_several
 from metrocli.tasks.calibrate_camera.other_lenses import fisheye_instead, other_models
 from metrocli.tasks.calibrate_camera.problem import CameraProblem
+from metrocli.tasks.calibrate_camera.readings import sighted_in
 from metrocli.tasks.calibrate_camera.report import report
-from metrocli.tasks.calibrate_camera.settings import FEWEST, CameraSettings, Files, Settings
+from metrocli.tasks.calibrate_camera.settings import CameraSettings, Files, Settings
 from metrocli.tasks.calibrate_camera.shape.effect import beside_base
 from metrocli.tasks.calibrate_camera.shape.spline import with_shape
 from metrocli.tasks.calibrate_camera.simulation import simulate
@@ -45,8 +45,7 @@ from metrocli.tasks.shared.images.adjustment import (
 )
 from metrocli.tasks.shared.images.camera_parameters import delivered
 from metrocli.tasks.shared.images.places import not_sought
-from metrocli.tasks.shared.images.settings import ESTIMATE, SPLINE
-from metrocli.tasks.shared.images.sightings import Needs, sightings
+from metrocli.tasks.shared.images.settings import SPLINE
 from metrocli.tasks.shared.images.tables import root_mean_square
 from metrocli.words import listed
 
@@ -126,11 +125,7 @@ def prepared(job: Job[Settings, Files]) -> tuple[Settings, CameraProblem]:
     if images is not None:
         _must_have_size(images, settings)
         settings = replace(settings, camera=replace(settings.camera, image_size=images.size))
-    sigma = float("nan") if settings.targets == ESTIMATE else 0.0
-    needs = Needs(FEWEST[settings.rig], float("nan") if settings.rig == "network" else sigma, sigma)
-    sighted = sightings(settings, files.observations, files.targets, images, needs)
-    must_not_be_used(files.test_lengths, files.scale_bars)
-    problem = build(settings.rig, settings.camera, sighted, files.scale_bars)
+    problem = build(settings.rig, settings.camera, sighted_in(settings, files), files.scale_bars)
     if settings.camera.model == SPLINE:
         problem = with_shape(problem, settings.noise not in FROM_RESIDUALS)
     return settings, about_the_middle(problem.with_effects(beside_base(problem, job.effects)))

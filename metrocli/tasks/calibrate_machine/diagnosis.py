@@ -13,7 +13,7 @@ from metrocli.adjust.model.chain import Chain
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Observations
 from metrocli.adjust.solution import Solution
-from metrocli.arrays import Array, Index, Mask
+from metrocli.arrays import Index, Mask
 from metrocli.diagnosis.adjusted_job import AdjustedJob, Delivered
 from metrocli.effects.acting import NOMINAL
 from metrocli.effects.covariates import Covariate
@@ -109,16 +109,10 @@ def _variations(model: Model, readings: Observations) -> Iterator[tuple[str, Obs
     for axis in (side.removeprefix("from_") for side in ALL_SIDES):
         came = readings.conditions.get(f"from_{axis}")
         if came is not None:
-            yield (
-                f"from the other side in {axis}",
-                replace(readings, conditions={**readings.conditions, f"from_{axis}": -came}),
-            )
+            yield f"from the other side in {axis}", readings.with_conditions({f"from_{axis}": -came})
     for number, name in enumerate(model.blocks[TOOL].members):
         if (readings.index[TOOL] != number).all():
-            yield (
-                f"with tool {name}",
-                replace(readings, index={**readings.index, TOOL: np.full(readings.count, number)}),
-            )
+            yield f"with tool {name}", readings.with_index({TOOL: np.full(readings.count, number)})
 
 
 def covariates(model: Model) -> Iterator[Covariate]:
@@ -150,12 +144,10 @@ def covariates(model: Model) -> Iterator[Covariate]:
 
 def _parts(group: Group) -> Index:
     """Return for each reading the number of its held-out part, (n,): ten parts by time, or by legs of a path."""
-    keys, conditions = group.observations.keys, group.observations.conditions
     if _condensed(group):
-        legs = np.unique(np.array(keys["leg"], dtype=int), return_inverse=True)[1]
+        legs = np.unique(np.array(group.observations.keys["leg"], dtype=int), return_inverse=True)[1]
         return np.asarray(legs % FOLDS)
-    when: Array = conditions.get("t", np.arange(group.observations.count, dtype=float))
-    return in_parts(when, FOLDS)
+    return in_parts(group.observations.order, FOLDS)
 
 
 def noise_of(solved: AdjustedMachine, model: str, factor: float) -> JobNoise:
@@ -178,5 +170,4 @@ def clusters_of(solved: AdjustedMachine) -> Clusters:
     for block, over in ((LINE, "lines"), (LEG, "legs of the path")):
         if block in observations.index:
             return Clusters({readings.name: observations.index[block]}, over)
-    order = observations.conditions.get("t", np.arange(observations.count, dtype=float))
-    return Clusters({readings.name: in_blocks(order)}, POINTS_IN_TIME)
+    return Clusters({readings.name: in_blocks(observations.order)}, POINTS_IN_TIME)

@@ -123,6 +123,11 @@ class Files:
     )
 
     @property
+    def poses(self) -> Table | None:
+        """The table of a method that reads rotary axes in any pose: points, lengths or probing."""
+        return next((table for table in (self.points, self.lengths, self.probing) if table is not None), None)
+
+    @property
     def listed_stations(self) -> Table | None:
         """The list of stations; of a network, its points and stations that have the names of those of the lengths."""
         if not isinstance(self.stations, Result):

@@ -70,12 +70,10 @@ def _rotary_positions(job: Job[Settings, Files]) -> Iterator[tuple[Mistake, Job[
             of_source = f"{table.headings.get(name, name)} {where}"
             words, write = f"{of_source} has the wrong sign", f"{of_source} with the other sign"
             turned = np.where(rows, -table.numbers(name), table.numbers(name))
-            right: dict[str, Any] = {key: replace(table, columns={**table.columns, name: turned})}
             mistake = Mistake(key, words, write, file=table.file, sort="rotary positions")
-            yield mistake, replace(job, files=replace(job.files, **right))
+            yield mistake, job.with_files(**{key: table.changed({name: turned})})
         for mistake, scaled in other_scales(key, table, [*([name] for name in names), names]):
-            right = {key: scaled}
-            yield replace(mistake, sort="rotary positions"), replace(job, files=replace(job.files, **right))
+            yield replace(mistake, sort="rotary positions"), job.with_files(**{key: scaled})
 
 
 def _zenith(job: Job[Settings, Files]) -> Iterator[tuple[Mistake, Job[Settings, Files]]]:
@@ -86,7 +84,7 @@ def _zenith(job: Job[Settings, Files]) -> Iterator[tuple[Mistake, Job[Settings, 
         words, write = f"{heading} has zenith distances", f"90 deg minus the numbers of {heading}"
         mistake = Mistake("points", words, write, file=points.file, sort="zenith")
         other = points.joined({"elevation [rad]": np.pi / 2 - points.numbers("elevation")})
-        yield mistake, replace(job, files=replace(job.files, points=other))
+        yield mistake, job.with_files(points=other)
 
 
 def _channels(job: Job[Settings, Files]) -> Iterator[tuple[Mistake, Job[Settings, Files]]]:
@@ -99,8 +97,7 @@ def _channels(job: Job[Settings, Files]) -> Iterator[tuple[Mistake, Job[Settings
 
     def other(words: str, write: str, changed: Mapping[str, Array], columns: int = 1) -> tuple[Mistake, Any]:
         mistake = Mistake("lines", words, write, file=lines.file, sort="channels", columns=columns)
-        table = replace(lines, columns={**lines.columns, **changed})
-        return mistake, replace(job, files=replace(job.files, lines=table))
+        return mistake, job.with_files(lines=lines.changed(changed))
 
     single = tuple((channel,) for channel in CHANNELS)
     columns = (*other_columns("lines", lines, kinds[0]), *other_columns("lines", lines, kinds[1]))
@@ -109,7 +106,7 @@ def _channels(job: Job[Settings, Files]) -> Iterator[tuple[Mistake, Job[Settings
     scales = other_scales("lines", lines, (("position",), *kinds, *single)) if few else ()
     for mistake, table in (*columns, *scales):
         # of one sort with the signs: the median of all channels fits whatever one of them is
-        yield replace(mistake, sort="channels"), replace(job, files=replace(job.files, lines=table))
+        yield replace(mistake, sort="channels"), job.with_files(lines=table)
     for some in (*single, *kinds):
         names = in_a_row(some)
         signs = "has the wrong sign" if len(some) == 1 else "have the wrong signs"
@@ -142,7 +139,7 @@ def _displacement_alone(job: Job[Settings, Files]) -> Iterator[tuple[Mistake, Jo
         position, read = lines.numbers("position")[own], lines.numbers(channel)[own]
         if own.any() and np.median(np.abs(read - np.median(read))) > _LARGEST * np.ptp(position):
             for mistake, table in other_columns("lines", lines, [channel], _USUAL * np.ptp(position)):
-                yield mistake, replace(job, files=replace(job.files, lines=table))
+                yield mistake, job.with_files(lines=table)
 
 
 def _chains(machine: MachineSettings) -> Iterator[_Other]:

@@ -123,7 +123,6 @@ def report(solved: AdjustedMachine, settings: Settings, noise: JobNoise, listed:
         ),
         notes=(*_notes(solved, settings, noise), *in_words(hidden)),
         details=noise.details([estimate.name for estimate in estimates]),
-        plain=("dof",),
     )
 
 

@@ -155,7 +155,7 @@ class Settings:
     simulation: MachineSimulation | None = setting(
         Section(MachineSimulation), "the true machine and instrument for `metrocli simulate`", default=None
     )
-    plan: PathPlan | None = setting(Section(PathPlan), "requirements for `metrocli plan`", default=None)
+    plan: PathPlan = setting(Section(PathPlan), "requirements for `metrocli plan`", default=PathPlan())
 
     @property
     def _names(self) -> tuple[str, ...]:

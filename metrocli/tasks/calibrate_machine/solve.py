@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from metrocli.adjust.adjustment import adjust
+from metrocli.adjust.model.groups import Group
 from metrocli.adjust.outcome import Outcome
 from metrocli.adjust.robust import FitQuality, Suspects, gross, robust_start, suspects
 from metrocli.adjust.rounds import adjust_with_iterated_weights, in_rounds, worst_of
@@ -44,11 +45,15 @@ class AdjustedMachine:
     rejected: tuple[tuple[str, float], ...] = ()
     """Name and |w| of each reading left out"""
 
+    @property
+    def group(self) -> Group:
+        """The readings that were used, with their final weights."""
+        return self.solution.group(self.problem.readings.name)
+
     @cached_property
     def residuals(self) -> Residuals:
         """Residuals of the readings, with their tests."""
-        name = self.problem.readings.name
-        return residuals_of(self.solution, next(group for group in self.solution.groups if group.name == name))
+        return residuals_of(self.solution, self.group)
 
     @property
     def read(self) -> tuple[Residuals, ...]:
@@ -60,9 +65,7 @@ class AdjustedMachine:
         """Stations with a second place that fits their lengths as well; none for other readings."""
         if self.problem.listed_at is None:
             return []
-        name = self.problem.readings.name
-        group = next(group for group in self.solution.groups if group.name == name)
-        return mirrored(of_tracers(self.solution, group, self.problem.listed_at), max(1.0, self.solution.misfit))
+        return mirrored(of_tracers(self.solution, self.group, self.problem.listed_at), max(1.0, self.solution.misfit))
 
     @cached_property
     def suspects(self) -> Suspects:

@@ -77,10 +77,9 @@ def problem_of(job: Job[Settings, Files]) -> MachineProblem:
         # here, not in `six_dof`: planned lines have zeros
         raise_if(unmeasured(job.files.lines))
         return six_dof(job.settings, job.files.lines)
-    for table in (job.files.points, job.files.lengths, job.files.probing):
-        if table is not None:
-            return problem_at(job.settings, table, job.files)
-    raise InputError(f"method {job.settings.method} has no readings")
+    if job.files.poses is None:
+        raise InputError(f"method {job.settings.method} has no readings")
+    return problem_at(job.settings, job.files.poses, job.files)
 
 
 def begun(job: Job[Settings, Files]) -> Model:

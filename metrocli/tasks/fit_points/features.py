@@ -67,7 +67,6 @@ class FittedFeatures:
             shown=(*result.shown, ShownTable(FEATURES, SHOWN)),
             notes=(*result.notes, *self.notes),
             details={**result.details, **self.details},
-            plain=("dof",),
         )
 
 

@@ -8,9 +8,8 @@ import numpy as np
 
 from metrocli.errors import UndeterminedError
 from metrocli.frozen import dataclass
-from metrocli.instruments.launch_unit import COLUMNS
 from metrocli.plan import Plan
-from metrocli.result import Estimate, ShownTable
+from metrocli.result import ShownTable
 from metrocli.table import Table
 from metrocli.tasks.locate_launch_unit import KIND
 from metrocli.tasks.locate_launch_unit.lines import (
@@ -34,7 +33,7 @@ from metrocli.tasks.locate_launch_unit.margin import (
     further,
     information,
 )
-from metrocli.tasks.locate_launch_unit.report import UNITS
+from metrocli.tasks.locate_launch_unit.report import place_of_unit
 from metrocli.tasks.locate_launch_unit.settings import LaunchUnitNoise, PlannedLines
 from metrocli.tasks.locate_launch_unit.solve import Located
 from metrocli.units import find_unit
@@ -86,7 +85,7 @@ def planned_measurement(located: Located, planned: PlannedLines, noise: LaunchUn
     return Plan(
         kind=KIND.name,
         notes=(*_notes(prospect, more), *_notes_on_alignment(prospect, more)),
-        figures=figures(located),
+        figures=place_of_unit(located, located.covariance),
         tables={"lines": margins, "points": _points(lines), **_further_table(prospect, more)},
         files=files,
         warnings=(*reasons, *blocked),
@@ -95,12 +94,6 @@ def planned_measurement(located: Located, planned: PlannedLines, noise: LaunchUn
             *((ShownTable("further_poses"),) if more else ()),
         ),
     )
-
-
-def figures(located: Located) -> tuple[Estimate, ...]:
-    """Return x y z gamma with their standard uncertainties."""
-    std = np.sqrt(np.diag(located.covariance)).tolist()
-    return tuple(Estimate(*row) for row in zip(COLUMNS, located.values.tolist(), std, UNITS, strict=True))
 
 
 def _margins(prospect: Prospect) -> Table:

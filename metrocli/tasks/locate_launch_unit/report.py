@@ -32,19 +32,23 @@ from metrocli.tasks.shared.statistics import (
 from metrocli.tasks.shared.uncontrolled import TABLE, in_words
 from metrocli.words import listed
 
-UNITS = ("mm", "mm", "mm", "rad")
+_UNITS = ("mm", "mm", "mm", "rad")
 _TABLES = {"angles": tuple(lu.ENCODERS), "distances": (lu.DISTANCE,)}
 
 
 def report(located: Located, method: str, noise: JobNoise | None) -> Result:
     """Return the result of a located unit."""
     covariance = located.covariance if noise is None else noise.solution.covariance_or_raise().of(lu.UNIT)
-    std = np.sqrt(np.diag(covariance))
-    rows = zip(lu.COLUMNS, located.values.tolist(), std.tolist(), UNITS, strict=True)
-    unit = tuple(Estimate(*row) for row in rows)
+    unit = place_of_unit(located, covariance)
     if located.solution is None or located.problem is None or noise is None:
         return _as_printed(located, method, unit, covariance)
     return _as_adjusted(located, located.problem, located.solution, noise, unit, method)
+
+
+def place_of_unit(located: Located, covariance: Array) -> tuple[Estimate, ...]:
+    """Return x y z gamma with their standard uncertainties."""
+    rows = zip(lu.COLUMNS, located.values.tolist(), np.sqrt(np.diag(covariance)).tolist(), _UNITS, strict=True)
+    return tuple(Estimate(*row) for row in rows)
 
 
 def _as_printed(located: Located, method: str, unit: tuple[Estimate, ...], covariance: Array) -> Result:
@@ -96,7 +100,6 @@ def _as_adjusted(
         shown=(ShownTable("beams"), *((ShownTable("outliers"),) if len(outliers) else ())),
         notes=(*_of_air(located), *job_noise_notes(noise), *noise_notes(solution, cures=(REMOVE,)), *in_words(hidden)),
         details=noise.details([estimate.name for estimate in delivered]),
-        plain=("dof",),
         warnings=(
             *problem.warnings,
             *noise_warnings(solution, (REMOVE,), located.left_out),

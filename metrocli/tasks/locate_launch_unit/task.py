@@ -16,9 +16,9 @@ from metrocli.tasks.job import Job, Task
 from metrocli.tasks.locate_launch_unit import KIND
 from metrocli.tasks.locate_launch_unit.diagnosis import adjusted_job, covariates, noise_of
 from metrocli.tasks.locate_launch_unit.effects import EFFECTS, PLACES
-from metrocli.tasks.locate_launch_unit.plan import figures, planned_measurement
+from metrocli.tasks.locate_launch_unit.plan import planned_measurement
 from metrocli.tasks.locate_launch_unit.readings import read
-from metrocli.tasks.locate_launch_unit.report import report
+from metrocli.tasks.locate_launch_unit.report import place_of_unit, report
 from metrocli.tasks.locate_launch_unit.settings import METHODS, Files, Settings
 from metrocli.tasks.locate_launch_unit.simulation import simulated
 from metrocli.tasks.locate_launch_unit.solve import How, Located, locate
@@ -106,7 +106,7 @@ def plan(job: Job[Settings, Files]) -> Plan:
             "`simulation: {place: [0 mm, 1 m, 1.5 m]}`, the approximate place of the unit"
         )
     if settings.plan is None:
-        return Plan(KIND.name, (first,), figures(located))
+        return Plan(KIND.name, (first,), place_of_unit(located, located.covariance))
     made = planned_measurement(located, settings.plan, settings.noise)
     return replace(made, notes=(first, *made.notes))
 

@@ -184,8 +184,7 @@ def _of_some(network: TracerNetwork, chosen: Index) -> dict[str, Block]:
     number = np.full(len(block.members), -1)
     number[chosen] = np.arange(len(chosen))
     point = number[lengths.observations.index[t.POINT]]
-    some = lengths.observations.selected(point >= 0)
-    some = replace(some, index={**some.index, t.POINT: point[point >= 0]})
+    some = lengths.observations.selected(point >= 0).with_index({t.POINT: point[point >= 0]})
     names = tuple(block.members[i] for i in chosen)
     fewer = replace(block, values=block.values[chosen], members=names, free=block.free[chosen])
     if datum is not None:

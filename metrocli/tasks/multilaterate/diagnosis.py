@@ -159,12 +159,8 @@ def _with_corners(model: Model) -> Model:
     span = {name: (values.min(), np.ptp(values)) for name, values in old.conditions.items() if name in ("t", ELAPSED)}
     conditions = {name: start + width * late for name, (start, width) in span.items()}
     conditions |= dict(zip(NOMINAL, corners[corner].T, strict=True))
-    changed = replace(
-        new,
-        index={**new.index, t.POINT: len(block.members) + corner},
-        keys={**new.keys, "point": tuple(names[i] for i in corner)},
-        conditions={**new.conditions, **conditions},
-    )
+    changed = new.with_index({t.POINT: len(block.members) + corner}).with_conditions(conditions)
+    changed = replace(changed, keys={**new.keys, "point": tuple(names[i] for i in corner)})
     datum = model.datum
     if datum is not None:
         zeros = np.zeros(len(corners))

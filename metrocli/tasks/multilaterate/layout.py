@@ -106,7 +106,7 @@ class PlannedNetwork:
             raise InputError(f"tracer {design.texts('tracer')[i]} stands where point {design.texts('point')[i]} is")
         air = air_of(self.settings.environment, design, "tracer")
         read = distance if air is None else distance / air.towards
-        lengths = replace(design, columns={**design.columns, "length": read})
+        lengths = design.changed({"length": read})
         bare = replace(tracers, columns={k: v for k, v in tracers.columns.items() if k != "dead_path"})
         readings = read_lengths(self.settings, Files(lengths, points, bare))
         listed_at = readings.tracers.listed_at

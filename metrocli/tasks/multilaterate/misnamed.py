@@ -17,7 +17,6 @@ from metrocli.instruments.tracer_start import start
 from metrocli.table import Table
 from metrocli.tasks.multilaterate.readings import LengthReadings, read
 from metrocli.tasks.multilaterate.settings import Files, Settings
-from metrocli.tasks.shared.lists import rows_of
 from metrocli.tasks.shared.tracers import in_another_order
 
 T = TypeVar("T")
@@ -67,7 +66,7 @@ def _of_whole_tracers(readings: LengthReadings) -> list[str]:
 def _fails(solved: Callable[[Files], object], files: Files, rows: Index) -> bool:
     """Return whether a job has no solution without some lengths either."""
     try:
-        solved(replace(files, lengths=rows_of(files.lengths, np.delete(np.arange(len(files.lengths)), rows))))
+        solved(replace(files, lengths=files.lengths.selected(np.delete(np.arange(len(files.lengths)), rows))))
     except NoSolutionError:
         return True
     except InputError:  # something asks for the very points that have no lengths then

@@ -89,8 +89,7 @@ def read(settings: Settings, files: Files) -> LengthReadings:
         numbers, alone = _stops(point, sigma, observations.conditions.get("t"))
         stops = t.stop_block(numbers)
         index = {} if stops is None else {t.STOP: numbers}
-        conditions = {**observations.conditions, t.ALONE: alone}
-        observations = replace(observations, index={**observations.index, **index}, conditions=conditions)
+        observations = observations.with_index(index).with_conditions({t.ALONE: alone})
     places = np.vstack([nominal[np.bincount(point, minlength=len(names)) > 0], read_by.listed_at[read_by.given]])
     extent = float(extents(places).max()) or 1.0
     rows = few_of_each(read_by)

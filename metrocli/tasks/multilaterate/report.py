@@ -100,7 +100,6 @@ def report(
             *in_words(hidden),
         ),
         details=noise.details([estimate.name for estimate in delivered]),
-        plain=("dof",),
         doubts=wrong_entries(solved.network, solved.solution),
         list_offset=max(solved.list_offset, list_offset(solved.network, probing)),
     )

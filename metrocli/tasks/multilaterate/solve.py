@@ -90,7 +90,7 @@ class AdjustedTracers:
     @property
     def group(self) -> Group:
         """The lengths used, with their final weights."""
-        return next(group for group in self.solution.groups if group.name == LENGTHS)
+        return self.solution.group(LENGTHS)
 
     @property
     def read(self) -> tuple[Residuals, ...]:
@@ -185,7 +185,7 @@ def _adjusted(network: TracerNetwork, state: Mapping[str, Block], out: dict[int,
         raise not_converged(used, state, solution)
     _must_be_near(used, solution)
     rejected = [*out.values(), *(Rejected(int(row), float("nan"), Reason.UNCHECKED) for row in np.flatnonzero(lost))]
-    group = next(group for group in solution.groups if group.name == LENGTHS)
+    group = solution.group(LENGTHS)
     residuals, critical = residuals_of(solution, group), critical_value(group.observations.count)
     suspects = _suspects(group, np.abs(residuals.normalised[0]), units_of_tests(solution, residuals), critical)
     rows = np.flatnonzero(keep)

@@ -106,7 +106,7 @@ def second_places(network: TracerNetwork, solution: Solution, noise: float) -> l
 
     In a free network the list of points fixes the frame. Points that it decides for are left out there.
     """
-    group = next(group for group in solution.groups if group.name == LENGTHS)
+    group = solution.group(LENGTHS)
     tracers = mirrored(of_tracers(solution, group, network.listed_at), noise)
     points = mirrored(of_points(solution, group, network.nominal), noise)
     return [*tracers, *(point for point in points if network.surveyed or not point.decided)]

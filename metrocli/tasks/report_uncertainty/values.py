@@ -13,6 +13,7 @@ from metrocli.frozen import dataclass
 from metrocli.nodes import Node
 from metrocli.result import Result
 from metrocli.settings import BAD, Number, Schema
+from metrocli.settings.values import OfText
 
 
 def identity(result: Result) -> str:
@@ -98,14 +99,11 @@ class Limit:
 
 
 @dataclass(frozen=True)
-class Probability:
+class Probability(OfText):
     """A number above 0 and below 1, or from `minimum` on."""
 
     minimum: float = 0.0
     expects = "a probability such as 0.95"
-
-    def fits(self, node: Node) -> bool:
-        return node.kind == "scalar" and not node.empty
 
     def read(self, node: Node, faults: list[Fault]) -> Any:
         value = Number().read(node, faults)
@@ -121,13 +119,10 @@ class Probability:
 
 
 @dataclass(frozen=True)
-class DegreesOfFreedom:
+class DegreesOfFreedom(OfText):
     """A number, or `inf`; 0.5 are those of an uncertainty that is itself uncertain by 100 % (JCGM 100, G.4.2)."""
 
     expects = "a number of at least 0.5, or inf"
-
-    def fits(self, node: Node) -> bool:
-        return node.kind == "scalar" and not node.empty
 
     def read(self, node: Node, faults: list[Fault]) -> Any:
         return math.inf if node.text in INFINITE else Number(FEWEST).read(node, faults)
@@ -137,13 +132,10 @@ class DegreesOfFreedom:
 
 
 @dataclass(frozen=True)
-class Trials:
+class Trials(OfText):
     """A number of trials, or `adaptive`."""
 
     expects = "a number of trials from 1000 to 1000000000, or adaptive, or 0 for none"
-
-    def fits(self, node: Node) -> bool:
-        return node.kind == "scalar" and not node.empty
 
     def read(self, node: Node, faults: list[Fault]) -> Any:
         if node.text == "adaptive":

@@ -81,8 +81,7 @@ def _forth_and_back(model: Model) -> Model:
     last = np.array([time[view == n].max(initial=0.0) for n in range(int(view.max()) + 1)])[view]
     # `t + 2 (last - t)`: mirrored about the last reading of the view
     later = {name: old.conditions[name] + 2 * (last - time) for name in ("t", ELAPSED) if name in old.conditions}
-    again = replace(old, conditions={**old.conditions, **later})
-    return model.with_group(group.with_observations(old.followed_by(again)))
+    return model.with_group(group.with_observations(old.followed_by(old.with_conditions(later))))
 
 
 def _with_views(problem: GridProblem, model: Model) -> Model:
@@ -101,7 +100,7 @@ def _with_views(problem: GridProblem, model: Model) -> Model:
     time = np.arange(1.0, len(kept) + 1) * float(np.ptp(old.conditions.get("t", np.zeros(2)))) / old.count
     conditions = {name: values.max() + time for name, values in old.conditions.items() if name in ("t", ELAPSED)}
     conditions[bg.HOLLOW] = bg.hollow(views, view[kept], balls, pitch)
-    changed = replace(new, index=index | more, conditions={**new.conditions, **conditions})
+    changed = new.with_index(index | more).with_conditions(conditions)
     mountings = model.blocks[bg.VIEW]
     block = bg.view_block(views, np.concatenate([mountings.values, np.zeros((2, 6))]))
     links = (bg.mounted(views, pitch) if isinstance(link, bg.Mounted) else link for link in group.chain.links)
@@ -184,10 +183,9 @@ def clusters_of(solved: AdjustedGrid) -> Index:
     """Return the block of successive readings of one view of each reading, (n,); by time, else in the file's order."""
     observations = solved.problem.readings.observations
     view = observations.index[bg.VIEW]
-    order = observations.conditions.get("t", np.arange(observations.count, dtype=float))
     clusters, first = np.zeros(observations.count, dtype=np.intp), 0
     for number in np.unique(view).tolist():
         mine = np.flatnonzero(view == number)
-        clusters[mine] = first + in_blocks(order[mine])
+        clusters[mine] = first + in_blocks(observations.order[mine])
         first = int(clusters[mine].max()) + 1
     return clusters

@@ -58,7 +58,6 @@ def _with_shared(result: Result, shared: Structured) -> Result:
         statistics={**result.statistics, **shared.statistics},
         notes=(shared.note, *result.notes),
         details=shared.details([estimate.name for estimate in result.estimates]),
-        plain=("dof",),
     )
 
 

@@ -180,7 +180,7 @@ def with_repeatability(problem: P, adjusted: Callable[[P], Solution], name: str)
 def _hidden_by(noise: PathNoise, before: Solution, name: str) -> UndeterminedError:
     """Return the error of a model that does not fit, so that the repeatability grows until nothing is determined."""
     misfit = float(np.sqrt(before.cost / max(before.dof, 1)))
-    group = next(group for group in before.groups if group.name == name)
+    group = before.group(name)
     worst = int(np.abs(group.residuals(before.blocks)[0]).argmax())
     of = " ".join(f"{key} {names[worst]}" for key, names in group.observations.keys.items())
     return UndeterminedError(

@@ -28,13 +28,6 @@ SIGMAS = columns("sigma?* sigma_x?* sigma_y?* sigma_z?* [length]")
 """Columns of standard deviations: one for all three coordinates, or one for each"""
 
 
-def rows_of(table: Table, rows: Index | Mask) -> Table:
-    """Return some rows of a table, with their lines."""
-    lines = [table.lines[i] for i in np.arange(len(table))[rows]] if table.lines else ()
-    columns = {name: column[rows] for name, column in table.columns.items()}
-    return Table(columns, table.units, table.file, lines, table.headings, further=table.further)
-
-
 def refuse(table: Table, wrong: Mapping[str, Mask]) -> None:
     """Raise InputError with a fault for each row of the masks (rows,), under their texts; nothing if all are empty."""
     faults = [

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import fields, replace
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -104,9 +104,8 @@ def other_weather(job: Job[Any, Any], fits: bool = False) -> Iterator[tuple[Mist
     for key, table in tables:
         for odd in odd_weather(table) if isinstance(table, Table) else ():
             words, write = f"{odd.where} is in {odd.unit}", f"{odd.where} in the unit of the heading"
-            right = replace(table, columns={**table.columns, odd.column: odd.values})
             mistake = Mistake(key, words, write, file=table.file, sort=ROWS)
-            yield mistake, replace(job, files=replace(job.files, **{key: right}))
+            yield mistake, job.with_files(**{key: table.changed({odd.column: odd.values})})
 
 
 def _odd(table: Table, name: str, rows: Mask, where: str, unit: Unit) -> Odd:

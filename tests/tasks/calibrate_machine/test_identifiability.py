@@ -17,7 +17,6 @@ from metrocli.tasks.calibrate_machine.described import machine_of
 from metrocli.tasks.calibrate_machine.methods.standstill import standstill
 from metrocli.tasks.calibrate_machine.plans.path_search import edges_and_diagonals
 from metrocli.tasks.calibrate_machine.plans.planned import planned_problem
-from metrocli.tasks.calibrate_machine.plans.settings import PathPlan
 from metrocli.tasks.calibrate_machine.rank.identifiability import Identifiability, identify
 
 KNOTS = (13, 11, 11)
@@ -74,7 +73,7 @@ def test_knots_of_the_open_tables_are_counted() -> None:
 
 def planned(path: Path, knots: tuple[int, int, int]) -> Identifiability:
     settings = replace(sim.settings("on-the-fly", knots=knots), corner=0.0)
-    return identify(planned_problem(settings, PathPlan(), path))
+    return identify(planned_problem(settings, path))
 
 
 def test_edges_and_diagonals_with_equal_knots_leave_four_combinations_that_move_the_volume() -> None:

@@ -39,7 +39,7 @@ def test_the_path_reaches_the_ratio_within_the_length(knots: tuple[int, int, int
     assert plan.warnings == ()
     # the file itself has this ratio
     vertices = plan.files["path.csv"].stacked("xyz")  # type: ignore[union-attr]
-    again = identify(planned_problem(settings, PathPlan(), Path.of(vertices, np.zeros(len(vertices), dtype=int))))
+    again = identify(planned_problem(settings, Path.of(vertices, np.zeros(len(vertices), dtype=int))))
     assert again.ratio == pytest.approx(figures["ratio"])
 
 

@@ -52,9 +52,8 @@ def doubts_and_warnings(
             doubts += (f"{name}: {line}" for line in why_not(problem, system.cameras[name], alone, centre, folds))
             warnings += (f"{name}: {line}" for line in (centre.warnings() if centre is not None else []))
     if not doubts:
-        size = max((system.size(name) for name in system.cameras), key=max)
         doubts += (f"{name}: {line}" for name, line in folded.items())
-        doubts += unmodelled(adjusted, adjusted.group.observations.index[IMAGE], size)
+        doubts += unmodelled(adjusted, adjusted.group.observations.index[IMAGE], system.largest_size)
     return doubts, warnings
 
 

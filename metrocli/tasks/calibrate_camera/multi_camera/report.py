@@ -122,7 +122,6 @@ def report(system: CameraSystem, adjusted: AdjustedImages, job: Job[Settings, Fi
             *in_words(tables[TABLE]),
         ),
         details=adjusted.details(p.names),
-        plain=("dof",),
     )
 
 

@@ -70,6 +70,11 @@ class CameraSystem(Modelled):
         """Return width and height [px] of the images of a camera."""
         return self.cameras[name].image_size or (0, 0)
 
+    @property
+    def largest_size(self) -> tuple[int, int]:
+        """Width and height [px] of the widest images."""
+        return max((self.size(name) for name in self.cameras), key=max)
+
 
 def system_of(
     settings: Settings, cameras: Mapping[str, OneOfSeveral], sighted: Sighted, bars: Table | None = None
@@ -245,8 +250,7 @@ def of_camera(sighted: Sighted, exposed: Exposures, camera: int) -> Sighted:
     observations = sighted.observations.selected(mine[sighted.view])
     view = (np.cumsum(mine) - 1)[observations.index["view"]]
     names = tuple(name for name, own in zip(sighted.images, mine, strict=True) if own)
-    observations = replace(observations, index={**observations.index, "view": view})
-    return replace(sighted, images=names, observations=observations, warnings=())
+    return replace(sighted, images=names, observations=observations.with_index({"view": view}), warnings=())
 
 
 def connected(exposed: Exposures) -> list[tuple[int, int]]:

@@ -18,17 +18,15 @@ from metrocli.result import Result
 from metrocli.tasks.calibrate_camera import KIND
 from metrocli.tasks.calibrate_camera.advice import in_words
 from metrocli.tasks.calibrate_camera.effects import EFFECTS
-from metrocli.tasks.calibrate_camera.length_errors import must_not_be_used
 from metrocli.tasks.calibrate_camera.multi_camera.alone import fisheyes
 from metrocli.tasks.calibrate_camera.multi_camera.report import delivered, report
 from metrocli.tasks.calibrate_camera.multi_camera.system import CameraSystem, system_of
-from metrocli.tasks.calibrate_camera.settings import FEWEST, Files, OneOfSeveral, Settings
+from metrocli.tasks.calibrate_camera.readings import sighted_in
+from metrocli.tasks.calibrate_camera.settings import Files, OneOfSeveral, Settings
 from metrocli.tasks.job import Job
 from metrocli.tasks.shared.images.adjustment import AdjustedImages, Options, adjust_images, must_converge
 from metrocli.tasks.shared.images.covariates import at_solution, covariate, folds, named, place_of_target, refit
 from metrocli.tasks.shared.images.exposures import exposures
-from metrocli.tasks.shared.images.settings import ESTIMATE
-from metrocli.tasks.shared.images.sightings import Needs, sightings
 
 
 def run(job: Job[Settings, Files], cameras: Mapping[str, OneOfSeveral]) -> Result:
@@ -51,11 +49,7 @@ def prepared(job: Job[Settings, Files], cameras: Mapping[str, OneOfSeveral]) -> 
     settings, files = job.settings, job.files
     if files.images is not None:
         cameras = sized(cameras, files.images)
-    sigma = float("nan") if settings.targets == ESTIMATE else 0.0
-    needs = Needs(FEWEST[settings.rig], float("nan") if settings.rig == "network" else sigma, sigma)
-    sighted = sightings(settings, files.observations, files.targets, files.images, needs)
-    must_not_be_used(files.test_lengths, files.scale_bars)
-    return system_of(settings, cameras, sighted, files.scale_bars).with_effects(job.effects)
+    return system_of(settings, cameras, sighted_in(settings, files), files.scale_bars).with_effects(job.effects)
 
 
 def sized(cameras: Mapping[str, OneOfSeveral], images: ImageSet) -> dict[str, OneOfSeveral]:
@@ -82,9 +76,8 @@ def _solved(settings: Settings, system: CameraSystem) -> AdjustedImages:
     if settings.noise == STRUCTURED:
         must_suffice(len(system.exposed.names), "images")
     remove, estimate_noise = settings.outliers == "remove", settings.noise in FROM_RESIDUALS
-    size = max((system.size(name) for name in system.cameras), key=max)
     adjusted = adjust_images(
-        system.blocks, system.images, system.others, system.datum, Options(remove, estimate_noise, size)
+        system.blocks, system.images, system.others, system.datum, Options(remove, estimate_noise, system.largest_size)
     )
     solution = adjusted.solution
     if solution.undetermined or solution.outcome is Outcome.TOO_FEW:

@@ -117,9 +117,9 @@ def other_settings(job: Job[Settings, Files], problem: CameraProblem) -> Iterato
         (f"{of} {'are' if many else 'is'} mirrored upside down", f"{h - 1} - v for v of {of}", u, h - 1 - v),
     )
     for words, write, new_u, new_v in ways:
-        columns = {**table.columns, "u": np.where(there, new_u, u), "v": np.where(there, new_v, v)}
-        changed = replace(job.files, observations=replace(table, columns=columns))
-        yield Mistake("observations", words, write, file=table.file, sort="images"), replace(job, files=changed)
+        mirrored = table.changed({"u": np.where(there, new_u, u), "v": np.where(there, new_v, v)})
+        mistake = Mistake("observations", words, write, file=table.file, sort="images")
+        yield mistake, job.with_files(observations=mirrored)
 
 
 def behind(problem: CameraProblem) -> list[str]:

@@ -72,8 +72,7 @@ def _rotary_runs(tables: Tables, solved: AdjustedMachine) -> _RotaryRuns:
     """
     observations = solved.problem.readings.observations
     axes = [axis for axis in tables.machine.axes if isinstance(axis, RotaryAxis)]
-    time = observations.conditions.get("t", np.arange(observations.count))
-    order, runs, uncertain = np.argsort(time, kind="stable"), list[Run](), list[float]()
+    order, runs, uncertain = np.argsort(observations.order, kind="stable"), list[Run](), list[float]()
     for axis in axes:
         side = observations.conditions.get(f"from_{axis.letter.lower()}")
         if side is None:
@@ -112,8 +111,7 @@ def _parts(there: Array, side: Array) -> Iterator[Index]:
 
 def _run(tables: Tables, solved: AdjustedMachine, axis: RotaryAxis, rows: Index) -> tuple[Array, Array, float]:
     """Return the targets [deg], the deviations and the largest standard uncertainty [rad] of a run."""
-    blocks, name = solved.solution.blocks, solved.problem.readings.name
-    group = next(group for group in solved.solution.groups if group.name == name)
+    blocks, group = solved.solution.blocks, solved.group
     name = errors_of(axis.letter)[axis.number + 3]
     linear = group.selected(rows).linear(blocks, frozenset({axis.block}))
     column = blocks[axis.block].column(name)

@@ -76,8 +76,7 @@ def poses_at(settings: Settings, files: Files, shares: Array, margin: float = 1.
     stations = [f"S{i + 1}" for i in range(STATIONS)] if listed is None else listed.texts("station")
     # each station reads all poses
     rows = np.tile(np.arange(n), len(stations))
-    read = Table({name: column[rows] for name, column in table.columns.items()}, table.units)
-    return read.joined({"station": np.repeat(np.array(stations), n)})
+    return table.selected(rows).joined({"station": np.repeat(np.array(stations), n)})
 
 
 def without_errors(settings: Settings, table: Table, files: Files, tracker: Array) -> tuple[Table, Files]:

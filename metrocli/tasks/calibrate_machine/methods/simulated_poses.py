@@ -93,13 +93,12 @@ def simulated_turning(job: Job[Settings, Files], simulation: MachineSimulation, 
 def _poses(job: Job[Settings, Files], simulation: MachineSimulation, rng: np.random.Generator) -> Table:
     """Return the poses of a job, or random ones, with times, sides, and temperatures if it gets warmer."""
     settings, files = job.settings, job.files
-    machine, table = machine_of(settings), {STANDSTILL: files.points, LENGTHS: files.lengths}.get(settings.method)
-    table = files.probing if settings.method == PROBING else table
+    machine, table = machine_of(settings), files.poses
     if table is None:
         shares = rng.random((len(machine.axes), simulation.points * (_TRIES if settings.method == PROBING else 1)))
         table = poses_at(settings, files, shares, 1.0 + 10 * simulation.error)
-        n = simulation.points if settings.method == PROBING else len(table)
-        table = Table({name: column[:n] for name, column in table.columns.items()}, table.units)
+        if settings.method == PROBING:
+            table = table.selected(np.arange(len(table)) < simulation.points)
     more = clock(simulation, len(table)) | table.conditions("t")
     names = [f"from_{axis.letter.lower()}" for axis in machine.axes]
     more |= sides_of(names, commanded(machine, table), more["t"])
@@ -206,10 +205,8 @@ class _Reading:
             position = moved_by(machine, position, gap)
             if np.abs(gap).max() < _MET:
                 break
-            given = {**observations.conditions, **machine.conditions(position)}
-            observations = replace(
-                observations, conditions=given, index={**observations.index, **machine.index(position)}
-            )
+            there = machine.conditions(position)
+            observations = observations.with_conditions(there).with_index(machine.index(position))
         else:
             text = "the probe does not reach the balls by X, Y and Z: give poses with the dx, dy, dz of an R-test"
             raise InputError([self.table.fault(text)])

@@ -45,9 +45,9 @@ _GAUSS = np.sqrt(0.6)
 _NODES, _WEIGHTS = np.array([-_GAUSS, 0.0, _GAUSS]) / 2 + 0.5, np.array([5.0, 8.0, 5.0]) / 18.0
 
 
-def planned_problem(settings: Settings, plan: PathPlan, path: Path) -> MachineProblem:
+def planned_problem(settings: Settings, path: Path) -> MachineProblem:
     """Return the adjustment problem of a planned path, with readings at the three Gauss nodes of each cell."""
-    machine = machine_of(settings)
+    machine, plan = machine_of(settings), settings.plan
     pose = tracker_pose(machine.low, machine.high, plan)
     rotation = poses.rotation_of(pose)
     blocks: dict[str, Block] = {
@@ -110,14 +110,14 @@ def _nodes(machine: Machine, path: Path, corner: float) -> tuple[Index, Array, A
 
 def plan_of_path(settings: Settings, table: Table | None) -> Plan:
     """Return what the path of the job will determine, and propose a path with its NC program."""
-    wanted = settings.plan or PathPlan()
+    wanted = settings.plan
     machine = machine_of(settings)
-    own = [] if table is None else _own(settings, wanted, path_of(settings, machine, table))
+    own = [] if table is None else _own(settings, path_of(settings, machine, table))
     longest = wanted.length or edges_and_diagonals(machine).length
     asked = PathRequirements(longest, wanted.ratio * _MARGIN, len(settings.tools), wanted.seed)
-    chosen = search(machine, lambda path: planned_problem(settings, wanted, path), asked)
+    chosen = search(machine, lambda path: planned_problem(settings, path), asked)
     path = Path.of(chosen.vertices, chosen.tool)
-    worth = worth_of(settings, planned_problem(settings, wanted, path))
+    worth = worth_of(settings, planned_problem(settings, path))
     time, ratio = float(travelled_time(path, wanted.feed)), worth.identified.ratio
     warnings = (
         []
@@ -132,8 +132,8 @@ def plan_of_path(settings: Settings, table: Table | None) -> Plan:
     ]
     figures = (Estimate("path_length", path.length, 0.0, "mm"), Estimate("duration", time, 0.0, "s"))
     files: dict[str, Table | str] = {
-        "path.csv": _path_table(settings, chosen, wanted),
-        "path.nc": _program(settings, chosen, wanted),
+        "path.csv": _path_table(settings, chosen),
+        "path.nc": _program(settings, chosen),
     }
     return planned(notes, figures, worth, files, warnings)
 
@@ -187,11 +187,11 @@ def travelled_time(path: Path, feed: float) -> float:
     return float(path.length / feed + REST * (len(path.lengths) + 1))
 
 
-def _own(settings: Settings, wanted: PathPlan, path: Path) -> list[str]:
+def _own(settings: Settings, path: Path) -> list[str]:
     """Return lines of text on what the path of the job will determine."""
     head = f"the path of the job: {len(path.lengths)} legs, {path.length:.0f} mm"
     try:
-        identified = identify(planned_problem(settings, wanted, path))
+        identified = identify(planned_problem(settings, path))
     except UndeterminedError as error:
         return [head, *(f"  {line}" for line in str(error).splitlines()), ""]
     return [head, *(f"  {line}" for line in identifiability_notes(identified)[1:]), ""]
@@ -213,14 +213,14 @@ def predicted_errors(tables: Tables, identified: Identifiability) -> Table:
     )
 
 
-def _path_table(settings: Settings, path: ChosenPath, wanted: PathPlan) -> Table:
+def _path_table(settings: Settings, path: ChosenPath) -> Table:
     table = Table.of({"x y z [mm]": path.vertices})
     if list(settings.tools) != [""]:
         table = table.joined({"tool": np.array(list(settings.tools))[path.tool]})
-    return table.joined({"feed [mm/s]": np.full(len(path.tool), wanted.feed)})
+    return table.joined({"feed [mm/s]": np.full(len(path.tool), settings.plan.feed)})
 
 
-def _program(settings: Settings, path: ChosenPath, wanted: PathPlan) -> str:
+def _program(settings: Settings, path: ChosenPath) -> str:
     """Return the path as an NC program: positions of the spindle's reference point, without tool length offset."""
     names = list(settings.tools)
     blocks: list[NcBlock] = []
@@ -229,6 +229,6 @@ def _program(settings: Settings, path: ChosenPath, wanted: PathPlan) -> str:
         if i == 0 or path.tool[i] != path.tool[i - 1]:
             blocks += [Stop(f"mount reflector {names[path.tool[i]]}".strip()), Rapid(to), Dwell(REST)]
         else:
-            blocks += [Feed(to, wanted.feed), Dwell(REST)]
+            blocks += [Feed(to, settings.plan.feed), Dwell(REST)]
     remarks = [*PLACES, "the reflector faces the tracker; exact stop at every vertex"]
-    return program("metrocli path for calibrate-machine", remarks, blocks, wanted.control)
+    return program("metrocli path for calibrate-machine", remarks, blocks, settings.plan.control)

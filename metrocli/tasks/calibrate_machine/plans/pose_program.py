@@ -16,7 +16,6 @@ from metrocli.tasks.calibrate_machine.described import commanded, machine_of
 from metrocli.tasks.calibrate_machine.files import Files
 from metrocli.tasks.calibrate_machine.methods.targets import brought_to
 from metrocli.tasks.calibrate_machine.plans.planned import PLACES, REST
-from metrocli.tasks.calibrate_machine.plans.settings import PathPlan
 from metrocli.tasks.calibrate_machine.problem import tools_of
 from metrocli.tasks.calibrate_machine.settings import LENGTHS, PROBING, Settings
 
@@ -39,7 +38,7 @@ def by_set_up(table: Table) -> Table:
     given = [np.array(table.texts(name)) for name in ("tool", "station") if name in table]
     keys = [np.unique(names, return_inverse=True)[1] for names in given]
     order = np.lexsort([np.arange(len(table)), *keys])
-    return Table({name: column[order] for name, column in table.columns.items()}, table.units)
+    return table.selected(order)
 
 
 def with_room(settings: Settings, table: Table, files: Files) -> Table:
@@ -53,12 +52,12 @@ def with_room(settings: Settings, table: Table, files: Files) -> Table:
     if not inside.any():
         text = f"in none of {len(table)} poses can the probe stand {_CLEAR:g} mm off its ball within the travel"
         raise InputError(f"{text}: check the places of the balls and the tools")
-    return Table({name: column[inside] for name, column in table.columns.items()}, table.units)
+    return table.selected(inside)
 
 
 def program_of_poses(settings: Settings, table: Table, files: Files) -> str:
     """Return the program of poses in their order."""
-    wanted, machine = settings.plan or PathPlan(), machine_of(settings)
+    machine = machine_of(settings)
     linear = not machine.only_turns
     remarks = [
         *(PLACES * linear),
@@ -66,7 +65,7 @@ def program_of_poses(settings: Settings, table: Table, files: Files) -> str:
         *(_PROBED if _probes(settings) else ["a reading in each dwell"]),
     ]
     blocks = _blocks(settings, machine, table, files)
-    return program("metrocli poses for calibrate-machine", remarks, blocks, wanted.control)
+    return program("metrocli poses for calibrate-machine", remarks, blocks, settings.plan.control)
 
 
 def _probes(settings: Settings) -> bool:
@@ -75,7 +74,6 @@ def _probes(settings: Settings) -> bool:
 
 
 def _blocks(settings: Settings, machine: Machine, table: Table, files: Files) -> Iterator[Block]:
-    feed = (settings.plan or PathPlan()).feed
     position, names = commanded(machine, table), _names(settings, table)
     before = _before(settings, table, files) if _probes(settings) else position
     ready = ""
@@ -85,7 +83,7 @@ def _blocks(settings: Settings, machine: Machine, table: Table, files: Files) ->
             yield Stop(set_up)
             ready = set_up
         yield from _retract(machine)
-        yield from _approach(machine, before[:, i], feed)
+        yield from _approach(machine, before[:, i], settings.plan.feed)
         yield Remark(name) if not _probes(settings) else Stop(name)
         if not _probes(settings):
             yield Dwell(REST)

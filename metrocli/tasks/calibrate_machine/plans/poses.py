@@ -21,7 +21,6 @@ from metrocli.tasks.calibrate_machine.files import Files
 from metrocli.tasks.calibrate_machine.methods.poses import in_degrees, places_read, poses_at, problem_at, without_errors
 from metrocli.tasks.calibrate_machine.plans.planned import Worth, planned, tracker_pose, worth_of
 from metrocli.tasks.calibrate_machine.plans.pose_program import by_set_up, program_of_poses, with_room
-from metrocli.tasks.calibrate_machine.plans.settings import PathPlan
 from metrocli.tasks.calibrate_machine.plans.stops import judged
 from metrocli.tasks.calibrate_machine.problem import MachineProblem
 from metrocli.tasks.calibrate_machine.settings import LENGTHS, PROBING, STANDSTILL, Settings
@@ -50,7 +49,7 @@ def plan_of_poses(settings: Settings, files: Files) -> Plan:
     Their number grows until the volume has the wanted uncertainty, or without one until the wanted ratio is reached.
     Raises UndeterminedError if no number of poses determines the volume, such as with one ball.
     """
-    listed = {STANDSTILL: files.points, LENGTHS: files.lengths, PROBING: files.probing}[settings.method]
+    listed = files.poses
     proposed: dict[str, Table | str] = {}
     if settings.method == PROBING and files.balls is None:
         proposed["balls.csv"] = balls = _balls(settings)
@@ -93,7 +92,7 @@ class _Trial:
 
 def _enough(settings: Settings, files: Files) -> tuple[_Trial, str]:
     """Return as few poses as give the wanted uncertainty, or ratio, and what they lack of it."""
-    wanted, machine = settings.plan or PathPlan(), machine_of(settings)
+    wanted, machine = settings.plan, machine_of(settings)
     count = float(_PER_KNOT * sum(len(axis.members) for axis in machine.axes))
 
     def tried(count: float) -> _Trial:
@@ -150,7 +149,7 @@ def _problem(settings: Settings, table: Table, files: Files) -> Callable[[], Mac
         tracker = np.zeros(6)
         if settings.method == STANDSTILL:
             places = places_read(settings, table, files)
-            tracker = tracker_pose(places.min(axis=1), places.max(axis=1), settings.plan or PathPlan())
+            tracker = tracker_pose(places.min(axis=1), places.max(axis=1), settings.plan)
         read, known = without_errors(settings, table, files, tracker)
         return problem_at(settings, read, known)
 

@@ -27,8 +27,7 @@ from metrocli.tasks.calibrate_machine.described import machine_of
 from metrocli.tasks.calibrate_machine.files import Files
 from metrocli.tasks.calibrate_machine.methods.lengths import lengths
 from metrocli.tasks.calibrate_machine.plans.planned import PLACES, REST, planned, worth_of
-from metrocli.tasks.calibrate_machine.plans.settings import PathPlan
-from metrocli.tasks.calibrate_machine.plans.stops import all_over, judged, visits
+from metrocli.tasks.calibrate_machine.plans.stops import all_over, judged, visits_with_tools
 from metrocli.tasks.calibrate_machine.problem import ERROR_BLOCKS, MachineProblem, tools_of
 from metrocli.tasks.calibrate_machine.settings import Settings
 from metrocli.tasks.calibrate_machine.volume import grid_group, grid_of, without_rigid_motion
@@ -63,14 +62,14 @@ def plan_of_stations(settings: Settings, table: Table | None, listed: Table | No
     The candidates are the listed stations, or places all around the volume. Raises UndeterminedError if the time is too
     short for three stations.
     """
-    wanted, machine = settings.plan or PathPlan(), machine_of(settings)
+    wanted, machine = settings.plan, machine_of(settings)
     own = []
     if table is not None:
         held = Files(stations=listed)
         own = judged(f"the lengths of the job: {len(table)}", settings, lambda: lengths(settings, table, held))
     candidates = _beside(machine) if listed is None else listed.stacked("xyz")
     names = [f"S{i + 1}" for i in range(_STATIONS)] if listed is None else listed.texts("station")
-    choice = _chosen(settings, wanted, candidates)
+    choice = _chosen(settings, candidates)
     chosen = [names[i] for i in choice.stations] if listed is not None else names[: len(choice.stations)]
     places = candidates[list(choice.stations)]
     points = all_over(settings, choice.points)
@@ -96,7 +95,7 @@ def plan_of_stations(settings: Settings, table: Table | None, listed: Table | No
     files: dict[str, Table | str] = {
         "stations.csv": stations,
         "points.csv": points,
-        "points.nc": _program(settings, points, chosen, wanted),
+        "points.nc": _program(settings, points, chosen),
     }
     return planned(notes, figures, worth, files, warnings)
 
@@ -107,8 +106,9 @@ def _beside(machine: Machine) -> Array:
     return np.asarray(machine.low + np.array(shares) * (machine.high - machine.low))
 
 
-def _chosen(settings: Settings, wanted: PathPlan, candidates: Array) -> _Choice:
-    choices = list(_in_turn(settings, wanted, candidates))
+def _chosen(settings: Settings, candidates: Array) -> _Choice:
+    wanted = settings.plan
+    choices = list(_in_turn(settings, candidates))
     if not choices:
         raise UndeterminedError(
             f"{wanted.time / 3600:.1f} h are too short for three stations with {_FEWEST} points for each tool: "
@@ -122,9 +122,9 @@ def _chosen(settings: Settings, wanted: PathPlan, candidates: Array) -> _Choice:
     return min(choices, key=lambda choice: choice.uncertainty)
 
 
-def _in_turn(settings: Settings, wanted: PathPlan, candidates: Array) -> Iterator[_Choice]:
+def _in_turn(settings: Settings, candidates: Array) -> Iterator[_Choice]:
     """Yield the greedy choice of 3, 4, ... stations, each with the points that time or uncertainty ask for."""
-    table = all_over(settings, _TRIED)
+    table, wanted = all_over(settings, _TRIED), settings.plan
     matrices, volume, reach = _matrices(settings, table, candidates)
     tools, step = len(settings.tools), _time_of_a_point(table, wanted.feed)
     chosen: list[int] = []
@@ -180,20 +180,16 @@ def _problem(settings: Settings, points: Table, places: Array, names: list[str])
     reflector, n = points.stacked(POSITION) + vectors, len(points)
     path = np.concatenate([np.linalg.norm(reflector - place, axis=1) for place in places])
     again = np.tile(np.arange(n), len(places))
-    every = Table({name: column[again] for name, column in points.columns.items()}, points.units, "lengths.csv")
+    every = replace(points.selected(again), file="lengths.csv")
     table = every.joined({"station": np.repeat(np.array(names), n), "length [mm]": path - path[0]})
     listed = replace(listed_places("station", names, places), file="stations.csv")
     return lengths(settings, table, Files(stations=listed))
 
 
-def _program(settings: Settings, points: Table, stations: list[str], wanted: PathPlan) -> str:
+def _program(settings: Settings, points: Table, stations: list[str]) -> str:
     blocks: list[NcBlock] = []
-    tool = tools_of(points, settings)
     for station in stations:
         blocks.append(Stop(f"set the interferometer up at {station}"))
-        for k, name in enumerate(settings.tools):
-            blocks.append(Stop(f"mount reflector {name}".strip()))
-            blocks += visits(points.stacked(POSITION)[tool == k], wanted.feed)
-    return program(
-        "metrocli lengths for calibrate-machine", [*PLACES, "a reading in each dwell"], blocks, wanted.control
-    )
+        blocks += visits_with_tools(settings, points)
+    remarks = [*PLACES, "a reading in each dwell"]
+    return program("metrocli lengths for calibrate-machine", remarks, blocks, settings.plan.control)

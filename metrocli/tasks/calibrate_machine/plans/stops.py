@@ -33,7 +33,6 @@ from metrocli.tasks.calibrate_machine.plans.planned import (
     worth_of,
 )
 from metrocli.tasks.calibrate_machine.plans.pose_program import any_turn
-from metrocli.tasks.calibrate_machine.plans.settings import PathPlan
 from metrocli.tasks.calibrate_machine.problem import MachineProblem, tools_of
 from metrocli.tasks.calibrate_machine.settings import MachineSimulation, Settings
 from metrocli.tasks.calibrate_machine.volume import grid_of, spread_over
@@ -50,7 +49,7 @@ def plan_of_points(settings: Settings, points: Table | None) -> Plan:
     The points follow a sequence that fills the volume evenly from its start on, so that place and time are not
     correlated. Raises UndeterminedError if even the longest list does not reach the wanted ratio.
     """
-    wanted = settings.plan or PathPlan()
+    wanted = settings.plan
     own = []
     if points is not None:
         own = judged(f"the points of the job: {len(points)}", settings, _seen(settings, points))
@@ -64,18 +63,20 @@ def plan_of_points(settings: Settings, points: Table | None) -> Plan:
         if count > _MOST:
             raise UndeterminedError(f"{len(table)} points do not reach a ratio of {wanted.ratio:g}: give fewer knots")
         count *= _GROWTH
-    names, tool = list(settings.tools), tools_of(table, settings)
-    blocks: list[NcBlock] = []
-    for k, name in enumerate(names):
-        blocks.append(Stop(f"mount reflector {name}".strip()))
-        blocks += visits(table.stacked(POSITION)[tool == k], wanted.feed)
-    text = program(
-        "metrocli points for calibrate-machine", [*PLACES, "a reading in each dwell"], blocks, wanted.control
-    )
+    blocks = visits_with_tools(settings, table)
+    text = program("metrocli points for calibrate-machine", [*PLACES, _RESTS], blocks, wanted.control)
     where = tracker_in_words(machine_of(settings), wanted)
     notes = [*own, f"proposed: {len(table)} points", where, *identifiability_notes(worth.identified)[1:]]
     files: dict[str, Table | str] = {"points.csv": table, "points.nc": text}
     return planned(notes, (Estimate("points", float(len(table)), 0.0, "1"),), worth, files, [])
+
+
+def visits_with_tools(settings: Settings, points: Table) -> Iterator[NcBlock]:
+    """Yield visits to the points of one tool after the other."""
+    tool = tools_of(points, settings)
+    for number, name in enumerate(settings.tools):
+        yield Stop(f"mount reflector {name}".strip())
+        yield from visits(points.stacked(POSITION)[tool == number], settings.plan.feed)
 
 
 def visits(places: Array, feed: float) -> list[NcBlock]:
@@ -100,7 +101,7 @@ def all_over(settings: Settings, count: int) -> Table:
 def _seen(settings: Settings, table: Table) -> Callable[[], MachineProblem]:
     """Return a function that builds the adjustment of points, measured by a tracker on a machine without errors."""
     machine = machine_of(settings)
-    pose = tracker_pose(machine.low, machine.high, settings.plan or PathPlan())
+    pose = tracker_pose(machine.low, machine.high, settings.plan)
     return lambda: standstill(settings, without_errors(settings, table, NO_FILES, pose)[0])
 
 
@@ -127,7 +128,7 @@ def plan_of_lines(settings: Settings, lines: Table | None) -> Plan:
     Of a job that reads the positioning alone it proposes five runs to and fro along each of its axes.
     """
     own = [] if lines is None else judged("the lines of the job", settings, lambda: six_dof(settings, lines))
-    wanted, machine = settings.plan or PathPlan(), machine_of(settings)
+    wanted, machine = settings.plan, machine_of(settings)
     alone = settings.reads_positioning
     if alone:
         given = tests_of_positioning(machine, [name[-1] for name in settings.estimated])
@@ -138,9 +139,7 @@ def plan_of_lines(settings: Settings, lines: Table | None) -> Plan:
     read = table.joined(
         dict.fromkeys((f"e{axis}" for axis in given.names) if alone else CHANNELS, np.zeros(len(table)))
     )
-    worth = worth_or_lack(settings, lambda: six_dof(settings, read))
-    if not isinstance(worth, Worth):
-        raise worth
+    worth = worth_of(settings, six_dof(settings, read))
     blocks: list[NcBlock] = []
     for k, name in enumerate(given.names):
         blocks.append(Stop(f"set the laser up along {name}"))

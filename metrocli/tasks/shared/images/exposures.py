@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -35,8 +34,7 @@ class Exposures:
         image = observations.index["view"]
         # a single camera keeps blocks of one member, which need no index
         of_camera = dict.fromkeys((LENS, MOUNT), self.camera[image]) if len(self.cameras) > 1 else {}
-        index = {**observations.index, **of_camera, IMAGE: image, "view": self.exposure[image]}
-        return replace(observations, index=index)
+        return observations.with_index({**of_camera, IMAGE: image, "view": self.exposure[image]})
 
     @property
     def unused(self) -> tuple[str, ...]:
