@@ -92,7 +92,9 @@ def _wrong_lengths(lengths: Table, readings: LengthReadings) -> list[_MisnamedLe
         own = wrong[point[wrong] == number]
         rows = seen.rows[own]
         others = _fitting(readings, places[own], seen.length[own], bound)
-        where = f"line{'s' * (len(rows) > 1)} {', '.join(str(lengths.lines[row]) for row in rows)}"
+        # a table that no file has is counted as its file would be: below a head
+        lines = lengths.lines or range(2, len(lengths) + 2)
+        where = f"line{'s' * (len(rows) > 1)} {', '.join(str(lines[row]) for row in rows)}"
         to = f"; they fit {readings.names[others[0]]}: correct the name" if len(others) == 1 else ""
         text = (
             f"lengths of {readings.names[number]} ({where}) are off by up to {miss[own].max():.3g} mm from where the "
