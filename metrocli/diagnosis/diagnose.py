@@ -160,8 +160,7 @@ def strongest(state: State) -> float:
     # a net of 0 is just at the level, and one of -_LEVEL at the level 1: none counts as less
     nets = [-_LEVEL]
     for number in range(len(state.measurement.families)):
-        gain, price, _ = state.gains_of_family(number)
-        nets.append(float(np.max(np.where(gain > 0, gain - price, -np.inf), initial=-np.inf)))
+        nets.append(float(np.max(state.nets_of_family(number), initial=-np.inf)))
     gain, price, _ = state.gains_of_readings()
     nets.append(float(np.max(np.where(gain > 0, gain - price, -np.inf), initial=-np.inf)))
     return float(np.exp(-max(max(nets) + _LEVEL, 0.0)))

@@ -241,10 +241,7 @@ class State(Scored):
         return solved(lower, w.T).T
 
     def of_family(self, family: int, taken: Array | None = None) -> tuple[Array, Array]:
-        """Return the squares that each alternative of a family explains, and its rank; without a part if it is given.
-
-        `taken` are the directions of that part (`taken_by`).
-        """
+        """Return the squares that each alternative explains, and its rank; without the part that `taken_by` is for."""
         gram, right = self.left(family)
         if taken is not None:
             along = self.measurement.families[family].columns.products(taken)
@@ -263,16 +260,20 @@ class State(Scored):
             return np.where(beyond, 0.0, gain), price + OF_ALL, t
         return gain, price + (FURTHER if self.named or self.readings else 0.0), t
 
+    def nets_of_family(self, family: int) -> Array:
+        """Return the net gain of each alternative of a family, -inf where it explains nothing; computed once."""
+        if ("nets", family) not in self.cache:
+            gain, price, _ = self.gains_of_family(family)
+            self.cache["nets", family] = np.where(gain > 0, gain - price, -np.inf)
+        return np.asarray(self.cache["nets", family])
+
     def gains_of_readings(self) -> tuple[Array, Array, Array]:
         """Return the gain of an error of each reading, its price, and the squares that it explains."""
         gain, q, t = self.of_readings()
         return gain, self.measurement.prices.of_ranks(READINGS, q), t
 
     def of_readings(self, taken: Array | None = None) -> tuple[Array, Array, Array]:
-        """Return the gain of an error of each reading, its rank, and the squares that it explains.
-
-        Without a part if its directions `taken` are given (`taken_by`).
-        """
+        """Return the gain of an error of each reading, its rank, and the squares it explains, perhaps without a part."""
         return self._of_readings if taken is None else self._without(taken)
 
     @cached_property

@@ -11,16 +11,17 @@ from functools import cached_property
 
 import numpy as np
 
+from metrocli.adjust.model.observations import Index
 from metrocli.adjust.robust import SAME
 from metrocli.diagnosis.adjusted_job import Ordered
 from metrocli.diagnosis.evidence.gain import FoldPrediction, Gain, gain_of
 from metrocli.diagnosis.evidence.held_out import Others, fold_numbers
 from metrocli.diagnosis.evidence.parts import Fixed
-from metrocli.diagnosis.evidence.prices import ALIKE
+from metrocli.diagnosis.evidence.prices import ALIKE, Prices
 from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.laws.law import Law, law_of
 from metrocli.diagnosis.laws.library import Library, Term
-from metrocli.diagnosis.laws.steps import Lawful, among_terms, forward
+from metrocli.diagnosis.laws.steps import NEAR, Lawful, among_terms, forward
 from metrocli.diagnosis.linear.candidates import Candidate
 from metrocli.frozen import dataclass
 
@@ -28,6 +29,9 @@ _LAW = float(np.log(30.0))
 """What a law pays beyond its tests: formulas are many, and a known cause, or chance, is likelier"""
 _SURELY = 5.5
 """Net evidence from which a law of few readings need not be shown by held-out ones"""
+_RIVAL = 0.5
+"""Share of the net gain of the best term from which another one may be chosen where a part of the readings is left out:
+a part is a tenth of them, and does not halve a gain"""
 _MOST_ROWS = 25_000
 """Largest number of components of readings for which laws are sought: the columns of all terms are held at once"""
 
@@ -54,7 +58,7 @@ def with_laws(state: State, plain: State, ordered: Ordered = map) -> tuple[State
     if best is None or best[0].state.score < state.score + _LAW:
         return state, ()
     lawful, base, start = best
-    gains = _gains(lawful, base, ordered)
+    gains = _gains(lawful, start, ordered)
     simpler = [law_of(lawful.first(count), base, gain, state) for count, gain in enumerate(gains, 1)]
     chosen = max(simpler, key=lambda law: law.gain.log_score)
     # few readings predict held-out ones badly: then large evidence is enough, if they do not speak against it
@@ -98,8 +102,7 @@ def _as_likely(start: Lawful, chosen: Term) -> tuple[Term, ...]:
     """Return the terms whose evidence is like that of the best single one, the best of each place and its variables."""
     tried = list[tuple[float, Term]]()
     for number, terms in enumerate(start.library.terms):
-        gain, price, _ = start.state.gains_of_family(number)
-        tried += zip(np.where(gain > 0, gain - price, -np.inf).tolist(), terms, strict=True)
+        tried += zip(start.state.nets_of_family(number).tolist(), terms, strict=True)
     tried.sort(key=lambda scored: -scored[0])
     likely = {_subject(chosen): chosen}
     for net, term in tried:
@@ -125,10 +128,17 @@ def _bases(plain: State) -> Iterator[State]:
         yield plain.minus(plain.named)
 
 
-def _gains(lawful: Lawful, base: State, ordered: Ordered) -> list[Gain]:
+def _gains(lawful: Lawful, start: Lawful, ordered: Ordered) -> list[Gain]:
     """Return the held-out gain of the laws of 1, 2, ... terms; each fold has the laws that the others choose."""
-    pairs = [*ordered(_Folds(lawful), fold_numbers(base.measurement))]
+    pairs = [*ordered(_Folds(lawful, _rivals(start)), fold_numbers(start.state.measurement))]
     return [gain_of(predictions) for predictions in zip(*pairs, strict=True)]
+
+
+def _rivals(start: Lawful) -> list[Index]:
+    """Return the numbers of the terms of each family that may be the first of a law in some fold."""
+    nets = [start.state.nets_of_family(number) for number in range(len(start.library.terms))]
+    least = _RIVAL * max(float(net.max(initial=0.0)) for net in nets) - NEAR
+    return [np.flatnonzero(net > least) for net in nets]
 
 
 @dataclass(frozen=True)
@@ -136,34 +146,37 @@ class _Folds:
     """What is compared in each fold. It travels to other processors, so it has no more than that."""
 
     lawful: Lawful
+    rivals: list[Index]
+    """Numbers of the terms of each family that may be the first"""
 
     @cached_property
-    def _at_the_place(self) -> list[list[int]]:
+    def _at_the_place(self) -> list[Index]:
         """Numbers of the terms of each family that act where the first one of the law does, as later ones have to."""
-        place = self.lawful.terms[0].place
-        return [[at for at, term in enumerate(terms) if term.place == place] for terms in self.lawful.library.terms]
+        place, every = self.lawful.terms[0].place, self.lawful.library.terms
+        return [np.flatnonzero([term.place == place for term in terms]) for terms in every]
 
     @cached_property
-    def _later(self) -> State:
-        """The state with these candidates alone: all others take most of the time."""
+    def _state(self) -> State:
+        """The state with the candidates of the first term alone, and behind them those of later ones."""
         m = self.lawful.state.measurement
-        families = (family.only(some) for family, some in zip(m.families, self._at_the_place, strict=True))
-        return replace(self.lawful.state, measurement=replace(m, families=tuple(families)), cache={})
+        chosen = zip((*m.families, *m.families), (*self.rivals, *self._at_the_place), strict=True)
+        *tests, of_readings = m.prices.tests
+        prices = Prices((*tests, *tests, of_readings), m.prices.causes, m.prices.dof)
+        families = tuple(family.only(some.tolist()) for family, some in chosen)
+        return replace(self.lawful.state, measurement=replace(m, families=families, prices=prices), cache={})
 
     def __call__(self, number: int) -> list[tuple[FoldPrediction, FoldPrediction]]:
         """Return the predictions of a fold without and with laws of 1, 2, ... terms."""
-        state, gone = self.lawful.state, {id(part) for _, part in self.lawful.steps}
+        state, gone = self._state, {id(part) for _, part in self.lawful.steps}
         every = Others.of_fold(state, number)
         fixed = [part for part in state.fixed if id(part) not in gone]
         others, bare = every.keeping(fixed), len(fixed)
         before, pairs = others.predicted(), list[tuple[FoldPrediction, FoldPrediction]]()
         for count in range(len(self.lawful.steps)):
             # once no term enters in a fold, no further one does there
-            if len(fixed) == bare + count:
-                here = Others.of_fold(self._later, number).with_fixed(fixed) if count else others
-                if (term := self._chosen(here, count)) is not None:
-                    fixed.append(term)
-                    others = every.with_fixed(fixed)
+            if len(fixed) == bare + count and (term := self._chosen(others, count)) is not None:
+                fixed.append(term)
+                others = every.with_fixed(fixed)
             pairs.append((before, others.predicted() if len(fixed) > bare else before))
         return pairs
 
@@ -171,11 +184,11 @@ class _Folds:
         """Return the term that the other readings choose; None if they choose none."""
         lawful, library = self.lawful, self.lawful.library
         best, chosen = 0.0, None
-        for number in range(len(library.terms)):
-            net = others.nets(number)
+        first = len(library.terms) if count else 0
+        for number, terms in enumerate(self._at_the_place if count else self.rivals):
+            net = others.nets(first + number)
             if len(net) and net.max() > best:
-                best, at = float(net.max()), int(np.argmax(net))
-                chosen = number, self._at_the_place[number][at] if count else at
+                best, chosen = float(net.max()), (number, int(terms[np.argmax(net)]))
         # the refined term has a value between those of the scan, which is better where its neighbours are chosen
         term, part = lawful.steps[count]
         if chosen is not None and library.terms[chosen[0]][chosen[1]].is_like(term):

@@ -25,7 +25,7 @@ from metrocli.frozen import dataclass
 
 MOST_TERMS = 3
 _LEAST_DOF = 5
-_NEAR, _MOST_REFINED = 6.0, 6
+NEAR, _MOST_REFINED = 6.0, 6
 """Terms are compared with refined scans if their gains in the scan are this near to the best, at most so many"""
 _FINE, _ROUNDS = 25, 3
 """Values tried in each round between the neighbours of the best scanned value"""
@@ -101,7 +101,7 @@ def _may_gain(lawful: Lawful, needed: float) -> bool:
     """
     for left in range(MOST_TERMS, 0, -1):
         best = next(iter(best_terms(lawful)), None)
-        if best is None or best[0] < max(-_NEAR, needed / left - _NEAR):
+        if best is None or best[0] < max(-NEAR, needed / left - NEAR):
             return False
         needed -= best[0]
         if needed <= 0 or left == 1:
@@ -126,10 +126,10 @@ def forward(lawful: Lawful, price: float, most: int = MOST_TERMS) -> Lawful:
     budget = lawful.state.measurement.job.budget
     while len(lawful.steps) < most and lawful.state.freedoms > _LEAST_DOF and not budget.spent():
         tried = best_terms(lawful)
-        if not tried or tried[0][0] < -_NEAR:
+        if not tried or tried[0][0] < -NEAR:
             break
         # a coarse scan can rank them wrongly: the nearest are compared at refined values
-        near = [term for term in tried if term[0] > tried[0][0] - _NEAR][:_MOST_REFINED]
+        near = [term for term in tried if term[0] > tried[0][0] - NEAR][:_MOST_REFINED]
         refined = [_refined(lawful, number, at) for _, number, at in near]
         apart = [lawful.plus(*both) for both in refined if are_apart(lawful, both[0], lawful.columns(both[0]))]
         best = max(apart, key=lambda term: term.state.score, default=lawful)
@@ -147,8 +147,7 @@ def best_terms(lawful: Lawful) -> list[tuple[float, int, int]]:
     place = lawful.terms[0].place if lawful.terms else None
     best: dict[tuple[int, str, Where, str], tuple[float, int, int]] = {}
     for number, terms in enumerate(lawful.library.terms):
-        gain, price, _ = lawful.state.gains_of_family(number)
-        net = np.where(gain > 0, gain - price, -np.inf)
+        net = lawful.state.nets_of_family(number)
         for at in np.argsort(-net, kind="stable").tolist():
             if not np.isfinite(net[at]):
                 break
