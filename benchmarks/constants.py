@@ -144,7 +144,9 @@ def main(arguments: list[str]) -> int:
         print(f"{len(before)} diagnoses, {time.process_time() - start:.0f} s", flush=True)
         listed = [number for number in numbers() if not words or any(word in number.module for word in words)]
         changing, hits = list[Number](), dict[str, int]()
-        for number in listed:
+        for tried, number in enumerate(listed, 1):
+            # an hour of silence: what is tried stands beside the result, not in it
+            print(f"{tried} of {len(listed)}: {number}", file=sys.stderr, flush=True)
             for factor in FACTORS:
                 # what has changed most often is tried first
                 order = sorted(before, key=lambda name: -hits.get(name, 0))
