@@ -11,8 +11,11 @@ from places import DOCS, SAMPLES
 from metrocli import errors, settings, units
 from metrocli.tasks import KINDS
 
-PAGES = [*DOCS.rglob("*.md"), *SAMPLES.rglob("README.md"), DOCS.parent / "README.md"]
+CHANGELOG = DOCS.parent / "CHANGELOG.md"
+PAGES = [*DOCS.rglob("*.md"), *SAMPLES.rglob("README.md"), DOCS.parent / "README.md", CHANGELOG]
 README = (DOCS.parent / "README.md").read_text(encoding="utf-8")
+LONGEST_VERSION = 2500
+"""Words that a user still reads about one version"""
 
 
 @pytest.mark.parametrize(
@@ -102,3 +105,9 @@ def test_a_dead_link_is_found(tmp_path: Path) -> None:
     page = tmp_path / "a.md"
     page.write_text("# One `two`\n[a](#one-two) [b](#three) [c](none.md) [d](a.md#one-two) [e](https://x.y/z)")
     assert dead_links(page) == ["#three", "none.md#"]
+
+
+def test_the_changelog_is_short() -> None:
+    _, *versions = re.split(r"^## ", CHANGELOG.read_text(encoding="utf-8"), flags=re.MULTILINE)
+    assert versions
+    assert not [version.split("\n")[0] for version in versions if len(version.split()) > LONGEST_VERSION]
