@@ -92,8 +92,8 @@ def _design(path: Path, asked: JobOptions, as_json: bool, console: Console) -> i
     from metrocli.project.job import kind_of_job, load
 
     kind = kind_of_job(path)
-    wished = replace(asked, not_needed=KINDS[kind].measured if kind else ())
-    adjusted, detectability = diagnosed.design_of(load(path, wished), console)
+    requested = replace(asked, not_needed=KINDS[kind].measured if kind else ())
+    adjusted, detectability = diagnosed.design_of(load(path, requested), console)
     if as_json:
         echo_json(verdict.design_data(adjusted, detectability))
     console.print(findings.of_design(adjusted, detectability))

@@ -241,7 +241,7 @@ class State(Scored):
         return solved(lower, w.T).T
 
     def of_family(self, family: int, taken: Array | None = None) -> tuple[Array, Array]:
-        """Return the squares that each alternative explains, and its rank; without the part that `taken_by` is for."""
+        """Return the squares that each alternative explains, and its rank; without the part of `taken_by`."""
         gram, right = self.left(family)
         if taken is not None:
             along = self.measurement.families[family].columns.products(taken)
@@ -273,7 +273,7 @@ class State(Scored):
         return gain, self.measurement.prices.of_ranks(READINGS, q), t
 
     def of_readings(self, taken: Array | None = None) -> tuple[Array, Array, Array]:
-        """Return the gain of an error of each reading, its rank, and the squares it explains, perhaps without a part."""
+        """Return gain, rank and explained squares of an error of each reading; without the part of `taken_by`."""
         return self._of_readings if taken is None else self._without(taken)
 
     @cached_property

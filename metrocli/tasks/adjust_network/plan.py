@@ -45,14 +45,14 @@ def planned(settings: Settings, files: Files, effects: tuple[RequestedEffect, ..
 
     Raises InputError without points or places of stations, UndeterminedError if the network is not determined.
     """
-    wish = settings.plan
-    truth = NetworkSimulation(faces=1 if wish is None else wish.faces)
+    requested = settings.plan
+    truth = NetworkSimulation(faces=1 if requested is None else requested.faces)
     network = _network(settings, files, truth, effects)
     solution = _solution(network)
     seen = tuple(_seen(network))
     tables = {"points": _points(solution), "effects": Table.of_rows(_HEAD, [row[:-1] for row in seen])}
     notes = [*_quality(solution), *_blind(seen)]
-    if wish is not None and wish.region is not None:
+    if requested is not None and requested.region is not None:
         chosen, table = _further(settings, files, truth, effects)
         tables["candidates"] = table
         notes += chosen
@@ -176,28 +176,28 @@ def _further(
     settings: Settings, files: Files, truth: NetworkSimulation, effects: tuple[RequestedEffect, ...]
 ) -> tuple[list[str], Table]:
     """Return where further stations stand best: each is the best of a grid beside those before it."""
-    wish = settings.plan
-    assert wish is not None and wish.region is not None
-    low, high = np.array(wish.region.low), np.array(wish.region.high)
+    requested = settings.plan
+    assert requested is not None and requested.region is not None
+    low, high = np.array(requested.region.low), np.array(requested.region.high)
     margin = _MARGIN * (high - low)
     sides = [np.linspace(a + m, b - m, _GRID) for a, b, m in zip(low, high, margin, strict=True)]
     instrument = settings.of_further_stations
     if instrument is None:
         raise InputError("a further station needs a tracker or a total station among `instruments`")
-    tried = (_UP, *_ON_ITS_SIDE) if wish.rolled else (_UP,)
+    tried = (_UP, *_ON_ITS_SIDE) if requested.rolled else (_UP,)
     axes: dict[str, str] = {}
     lines, rows = [], []
-    for number in range(wish.stations):
+    for number in range(requested.stations):
         name = f"NEW{number + 1}"
         best: tuple[float, Array, str] | None = None
         for place in map(np.array, product(*sides)):
             more = _with_station(files, name, instrument, place)
             for axis in tried:
                 try:
-                    worth = _value(_network(settings, more, truth, effects, {**axes, name: axis}), wish.aim)
+                    worth = _value(_network(settings, more, truth, effects, {**axes, name: axis}), requested.aim)
                 except UndeterminedError:
                     continue
-                rows.append((name, *place.tolist(), worth, *((axis,) if wish.rolled else ())))
+                rows.append((name, *place.tolist(), worth, *((axis,) if requested.rolled else ())))
                 if best is None or worth < best[0]:
                     best = worth, place, axis
         if best is None:
@@ -208,11 +208,11 @@ def _further(
         stands = "" if axis == _UP else f", on its side with its standing axis along {axis}"
         size = (
             f"{two_digits(100 * worth)} % of the largest usual errors"
-            if wish.aim == _INSTRUMENT
+            if requested.aim == _INSTRUMENT
             else roughly(worth, "um")
         )
-        lines.append(f"a further station at ({at}) mm{stands}: {wish.aim} {size}")
-    head = ("station [text]", "x [mm]", "y [mm]", "z [mm]", "worth", *(("axis [text]",) if wish.rolled else ()))
+        lines.append(f"a further station at ({at}) mm{stands}: {requested.aim} {size}")
+    head = ("station [text]", "x [mm]", "y [mm]", "z [mm]", "worth", *(("axis [text]",) if requested.rolled else ()))
     return lines, Table.of_rows(head, rows)
 
 
