@@ -111,3 +111,10 @@ def test_the_changelog_is_short() -> None:
     _, *versions = re.split(r"^## ", CHANGELOG.read_text(encoding="utf-8"), flags=re.MULTILINE)
     assert versions
     assert not [version.split("\n")[0] for version in versions if len(version.split()) > LONGEST_VERSION]
+
+
+def test_each_decision_is_named_where_it_holds() -> None:
+    pages = [*(DOCS / "decisions").glob("[0-9]*.md")]
+    texts = {path: path.read_text(encoding="utf-8") for path in [*PAGES, *(DOCS.parent / "metrocli").rglob("*.py")]}
+    named = {page.stem for page in pages for path, text in texts.items() if path != page and page.stem in text}
+    assert pages and not [page.stem for page in pages if page.stem not in named]
