@@ -155,7 +155,7 @@ def design(state: State, noise: float = 1.0, by_law: Collection[tuple[str, tuple
     readings = tuple(_wrong_reading(state, e, noise) for e in job.effects if e.of_one_reading)
     pairs, scatters = tuple(pairs_of(state, candidates, noise)), scatter_candidates(state, noise)
     number = (part.key[0] for part in state.random if part.kind == CORRELATED)
-    structure = tuple(dict.fromkeys(state.measurement.knots[knot].functions.name for knot in number))
+    structure = tuple(dict.fromkeys(state.measurement.knots[knot].name for knot in number))
     return Detectability(candidates, tuple(state.measurement.not_tested), pairs, readings, scatters, structure)
 
 

@@ -114,7 +114,7 @@ def _correlated(state: State, number: int) -> CorrelatedError:
     less = state.minus([component])
     gain = state.score + component.price - less.score
     without = (move for move in effects(less) if move.net > 0)
-    functions = m.knots[component.key[0]].functions
+    functions = m.knots[component.key[0]]
     own = component.columns.any(axis=1)
     unit, of_unit = m.system.showing(np.where(own, less.residual - state.residual, 0.0))
     rows = of_unit & own

@@ -139,7 +139,7 @@ def _candidates(m: Measurement) -> list[object]:
     return [
         [family.form for family in m.families],
         scatters,
-        [knots.functions.name for knots in m.knots],
+        [knots.name for knots in m.knots],
         [unit[:2] for unit in m.units],
     ]
 

@@ -9,7 +9,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2] / "metrocli"
 OF_EACH_KIND = {"Settings", "Files"}
 """Names by which each kind of job offers its own"""
-STILL_TWICE = {"Knots", "Given"}
+STILL_TWICE = {"Given"}
 """Names that `diagnosis/evidence` and `effects` share; they may only become fewer"""
 
 

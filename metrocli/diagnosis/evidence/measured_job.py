@@ -17,7 +17,6 @@ from metrocli.adjust.model.observations import Index
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.evidence.functions import process_bases
 from metrocli.diagnosis.evidence.measurement import Measurement
-from metrocli.diagnosis.evidence.parts import Knots
 from metrocli.diagnosis.evidence.prices import counted
 from metrocli.diagnosis.linear.candidates import Candidate, CandidateGroup
 from metrocli.diagnosis.linear.columns import CandidateColumns
@@ -66,7 +65,7 @@ def measurement_of(
         tuple(families),
         not_tested,
         scatters,
-        () if quick else tuple(Knots.of(functions) for functions in process_bases(job, system)),
+        () if quick else tuple(process_bases(job, system)),
         places,
         tuple(variance_groups(job, system)),
         prices,

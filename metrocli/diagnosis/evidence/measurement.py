@@ -14,6 +14,7 @@ import numpy as np
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index, Mask
 from metrocli.diagnosis.adjusted_job import AdjustedJob
+from metrocli.diagnosis.evidence.functions import Functions
 from metrocli.diagnosis.evidence.parts import (
     CORRELATED,
     EFFECT,
@@ -25,7 +26,6 @@ from metrocli.diagnosis.evidence.parts import (
     TERMS,
     UNKNOWN,
     Fixed,
-    Knots,
     Random,
     fixed,
 )
@@ -55,7 +55,7 @@ class Measurement:
     not_tested: list[NotTested]
     scatters: tuple[tuple[CandidateGroup, ...], ...]
     """Families of each effect that may act at all its places at once"""
-    knots: tuple[Knots, ...]
+    knots: tuple[Functions, ...]
     """Functions of the covariates with which errors may be correlated"""
     places: Index
     """Rows of each reading, (readings, d), -1 if it has fewer components"""
@@ -100,10 +100,10 @@ class Measurement:
         order = np.argsort(member, kind="stable")
         return order, np.searchsorted(member[order], np.arange(members + 1))
 
-    def is_local(self, knots: Knots) -> bool:
+    def is_local(self, knots: Functions) -> bool:
         """Whether each unit of a covariate is alone in one local member, so that its errors are eliminated with it."""
         member, there = self.system.basis.member, knots.component >= 0
-        if not knots.functions.by or self.system.basis.members < 2 or (member[there] < 0).any():
+        if not knots.by or self.system.basis.members < 2 or (member[there] < 0).any():
             return False
         # each has one of the other: images of several cameras share the pose of their exposure
         return _is_function(knots.unit[there], member[there]) and _is_function(member[there], knots.unit[there])
@@ -115,14 +115,14 @@ class Measurement:
 
     def lengths(self, number: int) -> list[float]:
         """Return the lengths of correlation that the knots of a covariate resolve."""
-        least = least_length(self.knots[number].functions.distances)
+        least = least_length(self.knots[number].distances)
         return [length for length in LENGTHS if length >= least]
 
     def kernel(self, number: int, length: float) -> Array:
         """Return the root of the covariance between the knots of a covariate."""
         key = "kernel", number, length
         if key not in self.cache:
-            self.cache[key] = kernel(self.knots[number].functions.distances, length)
+            self.cache[key] = kernel(self.knots[number].distances, length)
         return self.cache[key]
 
     @cached_property
@@ -132,9 +132,9 @@ class Measurement:
 
     def price_of_correlated(self, number: int, unit: int) -> float:
         """Return the price of an error correlated over a covariate, of all units together or of one of them."""
-        functions = self.knots[number].functions
-        copies = functions.count if unit >= 0 else 1
-        each = bool(functions.by) and unit < 0
+        own = self.knots[number]
+        copies = own.count if unit >= 0 else 1
+        each = bool(own.by) and unit < 0
         return price_of_variance(self.tried * copies) + (OF_UNITS if each else OF_ALL)
 
     @property

@@ -39,7 +39,7 @@ def measurement(kind: str) -> Measurement:
 
 
 def number_of(m: Measurement, name: str, by: str) -> int:
-    return next(i for i, one in enumerate(m.knots) if (one.functions.name, one.functions.by) == (name, by))
+    return next(i for i, one in enumerate(m.knots) if (one.name, one.by) == (name, by))
 
 
 def number_of_effect(m: Measurement, name: str) -> int:
