@@ -21,7 +21,6 @@ from metrocli.diagnosis.evidence.identified import IdentifiedEffect, all_identif
 from metrocli.diagnosis.evidence.measured_job import measurement_of
 from metrocli.diagnosis.evidence.parts import SCATTER, Fixed, Random
 from metrocli.diagnosis.evidence.prices import LEVEL
-from metrocli.diagnosis.evidence.scored import remade
 from metrocli.diagnosis.evidence.search import pruned
 from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.explanations import correlated_errors, noise_instead, random_effects, smooth, with_confirmed
@@ -151,7 +150,7 @@ def _in_white_noise(state: State) -> State:
     if len(state.random) == len(shapes) and not state.measurement.noise:
         return state
     m = state.measurement.unweighted or state.measurement
-    kept = [remade(m, state.random[j]) for j in shapes]
+    kept = [m.random(state.random[j].kind, state.random[j].key) for j in shapes]
     return pruned(state.at(m, random=False).plus(random=kept, logs=[float(state.logs[j]) for j in shapes]))
 
 

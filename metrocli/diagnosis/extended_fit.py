@@ -17,7 +17,6 @@ from metrocli.diagnosis.evidence.identified import IdentifiedEffect
 from metrocli.diagnosis.evidence.measurement import Measurement
 from metrocli.diagnosis.evidence.parts import Fixed
 from metrocli.diagnosis.linear.projection import Linearised
-from metrocli.diagnosis.linear.signatures import signature
 from metrocli.effects.effect import Effect, Parameter
 from metrocli.effects.extension import with_effect, with_effect_everywhere
 from metrocli.effects.model import Added, Model
@@ -123,9 +122,7 @@ def result_change(job: AdjustedJob, other: AdjustedJob) -> float:
 
 def linear_change(job: AdjustedJob, system: Linearised, name: IdentifiedEffect) -> float:
     """Return the largest change of the delivered result by an effect, to first order."""
-    alternative = name.alternative
-    full = signature(job.model, system, alternative.effect, alternative.instance, dict(alternative.scanned))
-    change = system.absorbed((full @ name.values)[:, None])
+    change = system.absorbed((name.alternative.signature(system) @ name.values)[:, None])
     shift = job.delivered.of(lambda block: system.shift(change, block, job.delivered.columns))
     return float(np.sqrt((shift**2).sum(axis=(1, 2)).max(initial=0.0)))
 

@@ -8,12 +8,12 @@ from typing import Any, Literal
 
 from metrocli import units
 from metrocli.diagnosis.adjusted_job import AdjustedJob
-from metrocli.diagnosis.detectability import Detectability, DetectableCandidate, WrongReading
+from metrocli.diagnosis.detectability import Detectability, WrongReading
 from metrocli.diagnosis.evidence.identified import IdentifiedEffect
 from metrocli.diagnosis.evidence.prices import LITTLE
 from metrocli.diagnosis.hidden_change import POWER, UndetectedBias
 from metrocli.diagnosis.linear.candidates import Candidate
-from metrocli.diagnosis.power.average_power import ScatterCandidate
+from metrocli.diagnosis.power.average_power import DetectableCandidate, ScatterCandidate
 from metrocli.effects.effect import Effect
 
 

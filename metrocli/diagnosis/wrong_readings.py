@@ -10,7 +10,6 @@ from itertools import combinations
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.robust import as_likely
 from metrocli.diagnosis.evidence.measurement import Measurement
 from metrocli.diagnosis.evidence.parts import Fixed
@@ -42,9 +41,9 @@ def wrong_readings(state: State) -> tuple[Outlier, ...]:
 
 def _outlier(state: State, part: Fixed, places: Places) -> Outlier:
     """Return a wrong reading with what would explain as much, beside all else."""
-    m, taken = state.measurement, state.taken_by(part)
+    m, less = state.measurement, state.beside(part)
     keys, variance = m.keys_of(part.number), state.variance
-    _, rank, explained = state.of_readings(taken)
+    _, rank, explained = less.of_readings
     # an error of several components can always explain more: only readings of its rank compare
     squares = np.where(rank == rank[part.number], explained, 0.0) / variance
     own = float(squares[part.number])
@@ -53,7 +52,7 @@ def _outlier(state: State, part: Fixed, places: Places) -> Outlier:
     rivals = [at for at in np.flatnonzero(as_likely(np.minimum(squares, own))).tolist() if at not in known]
     rivals.sort(key=lambda at: -squares[at])
     others = tuple(m.keys_of(at) for at in rivals)
-    effects = tuple(_at_its_place(state, taken, places, keys, own))
+    effects = tuple(_at_its_place(less, places, keys, own * variance))
     return Outlier(keys, float(np.sqrt(own)), others, effects)
 
 
@@ -67,12 +66,11 @@ def _places(m: Measurement) -> Places:
     return places
 
 
-def _at_its_place(
-    state: State, taken: Array, places: Places, keys: Mapping[str, str], own: float
-) -> Iterator[Candidate]:
+def _at_its_place(less: State, places: Places, keys: Mapping[str, str], own: float) -> Iterator[Candidate]:
     """Yield the best form of each effect at the place of a reading that explains as much as the error of the reading.
 
-    Where it also changes other readings, these contradict it unless they are much less certain.
+    `less` is the state without this error, which explains the squares `own`. Where an effect also changes other
+    readings, these contradict it unless they are much less certain.
     """
     # a reading of a tracer, a point and a pose lies at each of these, and at each combination
     here = [combination for size in range(1, len(keys) + 1) for combination in combinations(keys.items(), size)]
@@ -81,7 +79,7 @@ def _at_its_place(
         for family, number in places.get(frozenset(place), ()):
             families.setdefault(family, []).append(number)
     for family, numbers in families.items():
-        explained = state.of_family(family, taken)[0][numbers] / state.variance
+        explained = less.of_family(family)[0][numbers]
         best = int(np.argmax(explained))
         if as_likely(np.array([own, explained[best]]))[1]:
-            yield state.measurement.alternative((family, numbers[best]))
+            yield less.measurement.alternative((family, numbers[best]))

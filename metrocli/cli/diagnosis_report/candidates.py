@@ -9,11 +9,11 @@ from metrocli import units
 from metrocli.cli.columns import text_table
 from metrocli.diagnosis import status
 from metrocli.diagnosis.adjusted_job import AdjustedJob
-from metrocli.diagnosis.detectability import Detectability, DetectableCandidate, WrongReading
+from metrocli.diagnosis.detectability import Detectability, WrongReading
 from metrocli.diagnosis.evidence.identified import IdentifiedEffect
 from metrocli.diagnosis.findings import Diagnosis
 from metrocli.diagnosis.hidden_change import UndetectedBias
-from metrocli.diagnosis.power.average_power import ScatterCandidate
+from metrocli.diagnosis.power.average_power import DetectableCandidate, ScatterCandidate
 from metrocli.effects.effect import Parameter
 from metrocli.words import listed
 

@@ -23,7 +23,6 @@ from metrocli.diagnosis.linear.columns import CandidateColumns
 from metrocli.diagnosis.linear.families import families_of, families_throughout
 from metrocli.diagnosis.linear.linearised import linearised
 from metrocli.diagnosis.linear.projection import Linearised
-from metrocli.diagnosis.linear.signatures import signature
 from metrocli.diagnosis.noise import variance_groups
 from metrocli.effects.covariates import Covariate
 from metrocli.effects.effect import Effect, Parameter
@@ -119,7 +118,7 @@ def _with_standing(job: AdjustedJob, system: Linearised) -> Linearised:
     """
     residual = system.residual
     for fixed in job.standing:
-        residual = residual + signature(job.model, system, fixed.effect, fixed.instance, {}) @ np.array(fixed.sizes)
+        residual = residual + Candidate(fixed.effect, fixed.instance).signature(system) @ np.array(fixed.sizes)
     # projected again: the unknowns absorb a part of what these effects give
     return replace(system, residual=system.seen(residual)) if job.standing else system
 

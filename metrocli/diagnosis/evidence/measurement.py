@@ -212,6 +212,10 @@ class Measurement:
         same = (some[:, None] == others).astype(float)
         return np.asarray(first.turn.T @ (same - self.system.basis.products(some, others)) @ other.turn)
 
+    def random(self, kind: str, key: tuple[int, int, int]) -> Random:
+        """Return a random part by its kind and key."""
+        return self.scatter(key[0]) if kind == SCATTER else self.correlated(key[0], LENGTHS[key[1]], key[2])
+
     def correlated(self, number: int, length: float, unit: int) -> Random:
         """Return an error that is correlated over a covariate."""
         key, turn = (number, LENGTHS.index(length), unit), self.kernel(number, length)

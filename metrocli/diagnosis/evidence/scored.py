@@ -16,8 +16,8 @@ import numpy as np
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Mask
 from metrocli.diagnosis.evidence.likelihood import Fit, Products, fit_at, likeliest
-from metrocli.diagnosis.evidence.measurement import LENGTHS, Measurement
-from metrocli.diagnosis.evidence.parts import EFFECT, SCATTER, UNKNOWN, Fixed, Random
+from metrocli.diagnosis.evidence.measurement import Measurement
+from metrocli.diagnosis.evidence.parts import EFFECT, UNKNOWN, Fixed, Random
 from metrocli.diagnosis.evidence.prices import FURTHER, PRIOR, gain_of_columns
 from metrocli.diagnosis.evidence.products import products_of
 from metrocli.diagnosis.linear.quadratics import solved
@@ -221,17 +221,10 @@ class Scored:
         here, there = self.measurement, measurement
         # another linearisation has other columns; the same one with other weights has the old ones times a factor
         if (here.unweighted or here) is not (there.unweighted or there):
-            return type(self).of(there, fixed, [remade(there, part) for part in self.random], self.logs)
+            return type(self).of(there, fixed, [there.random(part.kind, part.key) for part in self.random], self.logs)
         factor = (there.weights / here.weights)[:, None]
         return type(self).of(there, fixed, [replace(p, columns=p.columns * factor) for p in self.random], self.logs)
 
     def settled(self) -> Self:
         """Return the state with all sizes estimated until they stay."""
         return self.again() if self.random else self
-
-
-def remade(m: Measurement, part: Random) -> Random:
-    """Return a random part of another linearisation in this one."""
-    return (
-        m.scatter(part.key[0]) if part.kind == SCATTER else m.correlated(part.key[0], LENGTHS[part.key[1]], part.key[2])
-    )

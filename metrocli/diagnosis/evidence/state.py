@@ -13,9 +13,9 @@ from itertools import pairwise
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
-from metrocli.adjust.model.observations import Index, Mask
+from metrocli.adjust.model.observations import Index
 from metrocli.diagnosis.evidence.likelihood import ROUNDING
-from metrocli.diagnosis.evidence.parts import LARGEST, READINGS, Fixed
+from metrocli.diagnosis.evidence.parts import LARGEST, READINGS
 from metrocli.diagnosis.evidence.prices import FURTHER, OF_ALL, gain_of_columns
 from metrocli.diagnosis.evidence.products import local_columns, products_of_members, shared_parts
 from metrocli.diagnosis.evidence.scored import Scored
@@ -115,12 +115,9 @@ class State(Scored):
                 return every
         return np.concatenate([products[key] for key, _ in self.parts])
 
-    def absorbed(self, rows: Index | Mask | slice = slice(None)) -> Array:
-        """Return the share of each reading that the state absorbs."""
-        return self._absorbed[rows]
-
     @cached_property
-    def _absorbed(self) -> Array:
+    def absorbed(self) -> Array:
+        """The share of each reading that the state absorbs, (rows,)."""
         entered = np.einsum("rk,rk->r", self.entered, self.entered)
         if not self.members_are_free:
             return np.asarray(self.own.squares() + entered)
@@ -136,7 +133,7 @@ class State(Scored):
     def _taken_of(self, rows: Index) -> Array:
         """Return the products of what the state takes of rows (n, a), -1 for none, with each other, (n, a, a)."""
         if rows.ndim == 2 and rows.shape[1] == 1:
-            return np.where(rows >= 0, self._absorbed[rows], 0.0)[:, :, None]
+            return np.where(rows >= 0, self.absorbed[rows], 0.0)[:, :, None]
         if not self.members_are_free:
             return self.basis.products(rows, rows)
         m = self.measurement
@@ -152,7 +149,7 @@ class State(Scored):
     def ratio_of(self, group: int) -> float:
         """Return the standard deviation of a variance group relative to that of all other readings."""
         rows = self.measurement.units[group][2]
-        own = float(rows.sum()) - float(self.absorbed(rows).sum())
+        own = float(rows.sum()) - float(self.absorbed[rows].sum())
         return self.own_noise(own, float((self.residual[rows] ** 2).sum()))[0]
 
     def own_noise(self, freedoms: float, squares: float) -> tuple[float, float]:
@@ -228,29 +225,9 @@ class State(Scored):
         inside = self._inside(name, columns, cache)
         return np.asarray(cache[key] - inside.T @ inside)
 
-    def taken_by(self, part: Fixed) -> Array:
-        """Return columns d, (rows, rank): without a fixed part the state would leave `P + d d'` of anything."""
-        ends = np.cumsum([0, *(each.rank for each in self.fixed)])
-        j = next(j for j, each in enumerate(self.fixed) if each is part)
-        at, lower = self.fit.fixed, self.fit.lower[self.fit.fixed :, self.fit.fixed :]
-        inverse = np.linalg.inv(lower)
-        own = slice(ends[j], ends[j + 1])
-        covariance = inverse[:, own].T @ inverse[:, own]
-        w = self.entered[:, self.entered.shape[1] - (len(self.fit.lower) - at) :] @ inverse[:, own]
-        lower = np.linalg.cholesky(covariance)
-        return solved(lower, w.T).T
-
-    def of_family(self, family: int, taken: Array | None = None) -> tuple[Array, Array]:
-        """Return the squares that each alternative of a family explains, and its rank; without a part if it is given.
-
-        `taken` are the directions of that part (`taken_by`).
-        """
-        gram, right = self.left(family)
-        if taken is not None:
-            along = self.measurement.families[family].columns.products(taken)
-            gram = gram + along @ np.swapaxes(along, 1, 2)
-            right = right + along @ (taken.T @ self.measurement.system.residual)
-        return quadratic(gram, right, self.measurement.families[family].raw)
+    def of_family(self, family: int) -> tuple[Array, Array]:
+        """Return the squares that each alternative of a family explains, and its rank."""
+        return quadratic(*self.left(family), self.measurement.families[family].raw)
 
     def gains_of_family(self, family: int) -> tuple[Array, Array, Array]:
         """Return the gain of each alternative, its price, and the squares that it explains."""
@@ -265,31 +242,14 @@ class State(Scored):
 
     def gains_of_readings(self) -> tuple[Array, Array, Array]:
         """Return the gain of an error of each reading, its price, and the squares that it explains."""
-        gain, q, t = self.of_readings()
+        gain, q, t = self.of_readings
         return gain, self.measurement.prices.of_ranks(READINGS, q), t
 
-    def of_readings(self, taken: Array | None = None) -> tuple[Array, Array, Array]:
-        """Return the gain of an error of each reading, its rank, and the squares that it explains.
-
-        Without a part if its directions `taken` are given (`taken_by`).
-        """
-        return self._of_readings if taken is None else self._without(taken)
-
     @cached_property
-    def _of_readings(self) -> tuple[Array, Array, Array]:
-        return self._without(None)
-
-    def _without(self, taken: Array | None) -> tuple[Array, Array, Array]:
-        m = self.measurement
-        rows = m.places
-        there = rows >= 0
-        gram = self.of_rows(rows)
-        residual = self.residual
-        if taken is not None:
-            own = np.where(there[:, :, None], taken[rows], 0.0)
-            gram = gram + own @ np.swapaxes(own, 1, 2)
-            residual = residual + taken @ (taken.T @ m.system.residual)
-        right = np.where(there, residual[rows], 0.0)
+    def of_readings(self) -> tuple[Array, Array, Array]:
+        """The gain of an error of each reading, its rank, and the squares that it explains."""
+        rows = self.measurement.places
+        gram, right = self.of_rows(rows), np.where(rows >= 0, self.residual[rows], 0.0)
         weak = np.einsum("iaa->ia", gram).sum(axis=1) < 1e-3
         t, q = quadratic(gram, right, np.ones(rows.shape))
         q = np.where(weak, 0, q)

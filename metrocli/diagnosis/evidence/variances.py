@@ -67,9 +67,7 @@ class Found:
 
     def part(self, m: Measurement) -> Random:
         """Return its columns."""
-        if self.kind == SCATTER:
-            return m.scatter(self.key[0])
-        return m.correlated(self.key[0], LENGTHS[self.key[1]], self.key[2])
+        return m.random(self.kind, self.key)
 
 
 @dataclass(frozen=True)
@@ -222,7 +220,7 @@ def noisier_groups(state: State) -> list[tuple[float, int, float]]:
     m, noisier = state.measurement, []
     if len(m.units) < 2:
         return []
-    taken, r = state.absorbed(), state.residual
+    taken, r = state.absorbed, state.residual
     for number, (kind, _, rows) in enumerate(m.units):
         # a group that has its own noise already costs nothing more
         price = 0.0 if number in m.noise else m.price_of_noise

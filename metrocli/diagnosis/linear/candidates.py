@@ -15,6 +15,7 @@ from metrocli.diagnosis.linear.column_parts import OwnColumns, StepColumns
 from metrocli.diagnosis.linear.columns import CandidateColumns
 from metrocli.diagnosis.linear.projection import Linearised
 from metrocli.diagnosis.linear.scans import any_apart, is_filled, sketch_vectors
+from metrocli.diagnosis.linear.signatures import scan
 from metrocli.effects.effect import Effect
 from metrocli.frozen import dataclass
 
@@ -46,6 +47,11 @@ class Candidate:
     def form(self) -> tuple[str, tuple[str, ...], str]:
         """Cause, place and form (by time, by temperature), without the values of scanned parameters."""
         return *self.spot, self.effect.by
+
+    def signature(self, system: Linearised) -> Array:
+        """Return its whitened columns, (rows, parameters)."""
+        full, _, _ = next(scan(system, self.effect, [self.instance], [dict(self.scanned)]))
+        return full
 
     def like(self, other: Candidate) -> bool:
         """Return whether it differs from another alternative in the values of scanned parameters at most."""

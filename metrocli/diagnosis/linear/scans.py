@@ -90,15 +90,15 @@ def is_filled(effect: Effect) -> bool:
 
 
 def scanned_columns(
-    model: Model, system: Linearised, effect: Effect, places: Sequence[tuple[str, ...]]
+    system: Linearised, effect: Effect, places: Sequence[tuple[str, ...]]
 ) -> Iterator[tuple[Mapping[str, float], tuple[Array, Block, Mask]]]:
     """Yield the scanned values with what `scan` yields, and values in between until neighbours' columns are alike.
 
     So a wave whose period lies between two values of a coarse scan is not missed.
     """
-    start = scans(model, effect, system.rows)
+    model, start = system.model, scans(system.model, effect, system.rows)
     if not is_filled(effect) or len(start) < 2:
-        yield from scan_with_values(model, system, effect, places, start)
+        yield from scan_with_values(system, effect, places, start)
         return
     parameter = effect.scanned[0]
     assert parameter.grid is not None
@@ -108,7 +108,7 @@ def scanned_columns(
     # (docs/decisions/130-dense-scans.md)
     wanted, left = start, most_tried(effect, system.rows) - len(start)
     while wanted:
-        for scanned, columns in _with_values(model, system, effect, places, wanted, first=wanted is start):
+        for scanned, columns in _with_values(system, effect, places, wanted, first=wanted is start):
             full, block, chosen = columns
             products = seen.T @ full
             some = itertools.islice(of_places(model, block, chosen, places), _PLACES)
@@ -119,7 +119,6 @@ def scanned_columns(
 
 
 def _with_values(
-    model: Model,
     system: Linearised,
     effect: Effect,
     places: Sequence[tuple[str, ...]],
@@ -129,7 +128,7 @@ def _with_values(
 ) -> Iterator[tuple[Mapping[str, float], tuple[Array, Block, Mask]]]:
     """Yield what `scan_with_values` yields; that none in between has a value is not an error."""
     try:
-        yield from scan_with_values(model, system, effect, places, wanted)
+        yield from scan_with_values(system, effect, places, wanted)
     except NoValueAtReadingError:
         if first:
             raise

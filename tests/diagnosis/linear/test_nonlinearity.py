@@ -27,6 +27,6 @@ def test_a_tilted_sensor_beside_decentring_is_not_excluded(seed: int) -> None:
     others = [one for one in design.candidates if one.testable and not one.alternative.instance and one not in bent]
     system = measurement_of(job).system
     for alternative, size in [(one.alternative, min(one.detectable, one.plausible)) for one in others]:
-        assert nonlinearity(job.model, system, alternative.effect, dict(alternative.scanned), size) < BENT / 2
+        assert nonlinearity(system, alternative.effect, dict(alternative.scanned), size) < BENT / 2
     linear = {candidate.alternative.effect.name: status(candidate, ()) for candidate in design.candidates}
     assert linear["stretched-targets"] == linear["target-plane-bend"] == Status.EXCLUDED
