@@ -156,7 +156,7 @@ def _candidate(state: State, family: int, chosen: Sequence[int], noise: float) -
     absorbers = () if rank else _absorbers(m.system, alternative.signature(m.system))
     missed = own.has_gaps(m.system, chosen)
     upper = _upper(state, family, at)
-    required = bool((_nets(state, family)[list(chosen)] > 0).any())
+    required = bool((state.nets(family)[list(chosen)] > 0).any())
     return DetectableCandidate(
         alternative, family, at, visible, size, hides, assumed, absorbers, missed, upper, share, required
     )
@@ -171,14 +171,6 @@ def _is_nonlinear(state: State, candidate: DetectableCandidate) -> bool:
     if own.effect.link is not None or own.instance or not size <= candidate.plausible:
         return False
     return nonlinearity(m.system, own.effect, dict(own.scanned), size) > BENT
-
-
-def _nets(state: State, family: int) -> Array:
-    """Return the net gain of each alternative of a family beside a state, computed once."""
-    if ("nets", family) not in state.cache:
-        gain, price, _ = state.gains_of_family(family)
-        state.cache["nets", family] = np.where(gain > 0, gain - price, -np.inf)
-    return np.asarray(state.cache["nets", family])
 
 
 def _upper(state: State, family: int, number: int) -> float:

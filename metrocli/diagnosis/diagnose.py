@@ -157,13 +157,8 @@ def _in_white_noise(state: State) -> State:
 def strongest(state: State) -> float:
     """Return the level of the strongest candidate beside a state, counted over all."""
     # a net of 0 is just at the level, and one of -_LEVEL at the level 1: none counts as less
-    nets = [-_LEVEL]
-    for number in range(len(state.measurement.families)):
-        gain, price, _ = state.gains_of_family(number)
-        nets.append(float(np.max(np.where(gain > 0, gain - price, -np.inf), initial=-np.inf)))
-    gain, price, _ = state.gains_of_readings()
-    nets.append(float(np.max(np.where(gain > 0, gain - price, -np.inf), initial=-np.inf)))
-    return float(np.exp(-max(max(nets) + _LEVEL, 0.0)))
+    nets = [np.array([-_LEVEL]), *map(state.nets, range(len(state.measurement.families))), state.nets_of_readings()]
+    return float(np.exp(-max(float(np.concatenate(nets).max()) + _LEVEL, 0.0)))
 
 
 def _variance_groups(state: State) -> tuple[VarianceGroup, ...]:

@@ -46,7 +46,7 @@ def random_effects(state: State) -> tuple[RandomEffect, ...]:
 def _random_effect(state: State, number: int) -> RandomEffect:
     m, part = state.measurement, state.random[number]
     families = m.scatters[part.key[0]]
-    effect, less = families[0].alternatives[0].effect, state.minus([part])
+    effect, less = families[0].effect, state.minus([part])
     # `logs` are ratios to the variance of the noise, whose estimate is squares / dof
     std = float(np.sqrt(np.exp(state.logs[number]) * state.fit.squares / state.fit.dof)) * part.unit
     wider = with_random_effect(m.job, effect, std, readings_kept(m, state.readings))
@@ -196,7 +196,7 @@ def not_confirmed(state: State) -> list[tuple[Random, Unconfirmed]]:
 
 def _effect_of(state: State, part: Random) -> Effect:
     """Return the effect that acts at all its places by a random part of a state."""
-    return state.measurement.scatters[part.key[0]][0].alternatives[0].effect
+    return state.measurement.scatters[part.key[0]][0].effect
 
 
 def smooth(state: State) -> list[int]:

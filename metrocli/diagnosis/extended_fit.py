@@ -32,7 +32,7 @@ def extended_model(job: AdjustedJob, names: Sequence[IdentifiedEffect]) -> Model
     for name in names:
         alternative = name.alternative
         model = with_effect(model, alternative.effect, [alternative.instance], name.known)
-        block, row = _own_row(model, name)
+        block, row = _row(model, model.added[-1], name)
         step = np.zeros(block.values.shape)
         for parameter, value in zip(alternative.parameters, name.values, strict=True):
             step[row, block.column(parameter)] = value
@@ -40,12 +40,8 @@ def extended_model(job: AdjustedJob, names: Sequence[IdentifiedEffect]) -> Model
     return model
 
 
-def _own_row(model: Model, name: IdentifiedEffect) -> tuple[Block, int]:
-    """Return the block of the effect that was added last, and the row of the member on which it acts."""
-    return _row(model, model.added[-1], name)
-
-
 def _row(model: Model, added: Added, name: IdentifiedEffect) -> tuple[Block, int]:
+    """Return the block of an effect that was added, and the row of the member on which it acts."""
     block = model.blocks[added.block]
     place = name.alternative.instance
     # an effect with a link, or without a place, has its member last: that of readings elsewhere comes first
@@ -68,7 +64,8 @@ class EffectSize:
 def sizes(job: AdjustedJob, name: IdentifiedEffect) -> tuple[EffectSize, ...]:
     """Return the estimated parameters of a named effect, with the standard uncertainties of its covariance."""
     alternative = name.alternative
-    block, row = _own_row(extended_model(job, [name]), name)
+    model = extended_model(job, [name])
+    block, row = _row(model, model.added[-1], name)
     before = job.model.blocks.get(block.name)
     by_step = block.space.by_step(block.values)[row]
     std = np.sqrt(np.maximum(np.diag(name.covariance), 0.0))

@@ -75,8 +75,10 @@ def variance_groups(job: AdjustedJob, system: Linearised) -> Iterator[tuple[str,
             rows = system.rows_at({key: name})
             if rows.any():
                 yield key, name, rows
-    for name, rows in system.of_several_groups():
-        yield READING, name, rows
+    # a single group has no other to be compared with
+    for group in job.model.readings if job.model.readings[1:] else ():
+        if group.observations.count >= FEWEST:
+            yield READING, group.name, system.rows_of(group)
     for group in job.model.groups:
         if group.name not in job.model.measured and group.observations.readings.size >= FEWEST:
             yield DECLARED_SIGMA, group.name, system.rows_of(group)

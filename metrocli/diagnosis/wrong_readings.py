@@ -52,7 +52,7 @@ def _outlier(state: State, part: Fixed, places: Places) -> Outlier:
     rivals = [at for at in np.flatnonzero(as_likely(np.minimum(squares, own))).tolist() if at not in known]
     rivals.sort(key=lambda at: -squares[at])
     others = tuple(m.keys_of(at) for at in rivals)
-    effects = tuple(_at_its_place(less, places, keys, own * variance))
+    effects = tuple(_at_its_place(less, places, keys, own, variance))
     return Outlier(keys, float(np.sqrt(own)), others, effects)
 
 
@@ -66,11 +66,13 @@ def _places(m: Measurement) -> Places:
     return places
 
 
-def _at_its_place(less: State, places: Places, keys: Mapping[str, str], own: float) -> Iterator[Candidate]:
+def _at_its_place(
+    less: State, places: Places, keys: Mapping[str, str], own: float, variance: float
+) -> Iterator[Candidate]:
     """Yield the best form of each effect at the place of a reading that explains as much as the error of the reading.
 
-    `less` is the state without this error, which explains the squares `own`. Where an effect also changes other
-    readings, these contradict it unless they are much less certain.
+    `less` is the state without this error, which explains the squares `own` over the variance. Where an effect also
+    changes other readings, these contradict it unless they are much less certain.
     """
     # a reading of a tracer, a point and a pose lies at each of these, and at each combination
     here = [combination for size in range(1, len(keys) + 1) for combination in combinations(keys.items(), size)]
@@ -79,7 +81,7 @@ def _at_its_place(less: State, places: Places, keys: Mapping[str, str], own: flo
         for family, number in places.get(frozenset(place), ()):
             families.setdefault(family, []).append(number)
     for family, numbers in families.items():
-        explained = less.of_family(family)[0][numbers]
+        explained = less.of_family(family)[0][numbers] / variance
         best = int(np.argmax(explained))
         if as_likely(np.array([own, explained[best]]))[1]:
             yield less.measurement.alternative((family, numbers[best]))

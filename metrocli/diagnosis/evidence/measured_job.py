@@ -96,7 +96,7 @@ def _scatters(
 
     by_name: dict[str, list[CandidateGroup]] = {}
     for family in families:
-        effect = family.alternatives[0].effect if family.alternatives else None
+        effect = family.effect if family.alternatives else None
         if effect is None or not effect.of_all or (effect.is_smooth and not smooth):
             continue
         if can_act_everywhere(system.model, effect):
@@ -105,7 +105,7 @@ def _scatters(
     for own in by_name.values():
         columns = sum(family.columns.count * family.columns.parameters for family in own)
         # coefficients of a smooth effect are its freedoms, where another effect has one place for each alternative
-        places = columns if own[0].alternatives[0].effect.is_smooth else sum(family.columns.count for family in own)
+        places = columns if own[0].effect.is_smooth else sum(family.columns.count for family in own)
         if places >= _PLACES and system.rows * columns**2 <= _MOST:
             scatters.append(tuple(own))
     return scatters

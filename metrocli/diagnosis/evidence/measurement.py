@@ -186,11 +186,7 @@ class Measurement:
         unknown = bool(self.families[family].unknown)
         gram = self.families[family].gram[number]
         effect = fixed(whole, gram, (family, number), 0.0, UNKNOWN if unknown else EFFECT)
-        return replace(effect, price=self.price_of(family, max(effect.rank, 1)))
-
-    def price_of(self, family: int, rank: int) -> float:
-        """Return the price of an alternative of a family by its rank."""
-        return self.prices.of_columns(family, rank) + (OF_ALL if self.families[family].unknown else 0.0)
+        return replace(effect, price=self.prices.of_columns(family, max(effect.rank, 1)) + (OF_ALL if unknown else 0.0))
 
     def term(self, whole: Array, key: tuple[int, int], price: float) -> Fixed:
         """Return the whole columns of a term of a law (rows, factors) as fixed columns, whose key no effect has."""
@@ -230,7 +226,7 @@ class Measurement:
         rows = self.system.rows
         columns = [scatter.columns.whole(range(scatter.columns.count), rows) for scatter in self.scatters[number]]
         every = np.concatenate([column.reshape(rows, -1) for column in columns], axis=1)
-        if self.scatters[number][0].alternatives[0].effect.is_smooth:
+        if self.scatters[number][0].effect.is_smooth:
             # a turn of the coefficients leaves them independent; most directions of a smooth shape are too small to see
             values, vectors = np.linalg.eigh(every.T @ every)
             every = every @ vectors[:, values > _SMOOTH * values[-1]]

@@ -240,6 +240,16 @@ class State(Scored):
             return np.where(beyond, 0.0, gain), price + OF_ALL, t
         return gain, price + (FURTHER if self.named or self.readings else 0.0), t
 
+    def nets(self, family: int) -> Array:
+        """Return the net gain of each alternative of a family, computed once; -inf where it explains nothing."""
+        if ("nets", family) not in self.cache:
+            self.cache["nets", family] = _net(*self.gains_of_family(family))
+        return np.asarray(self.cache["nets", family])
+
+    def nets_of_readings(self) -> Array:
+        """Return the net gain of an error of each reading; -inf where it explains nothing."""
+        return _net(*self.gains_of_readings())
+
     def gains_of_readings(self) -> tuple[Array, Array, Array]:
         """Return the gain of an error of each reading, its price, and the squares that it explains."""
         gain, q, t = self.of_readings
@@ -255,3 +265,7 @@ class State(Scored):
         q = np.where(weak, 0, q)
         t = np.where(q > 0, t, 0.0)
         return gain_of_columns(t, q, self.fit.squares, self.freedoms), q, t
+
+
+def _net(gain: Array, price: Array, explained: Array) -> Array:
+    return np.where(gain > 0, gain - price, -np.inf)

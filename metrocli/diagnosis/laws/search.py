@@ -98,8 +98,7 @@ def _as_likely(start: Lawful, chosen: Term) -> tuple[Term, ...]:
     """Return the terms whose evidence is like that of the best single one, the best of each place and its variables."""
     tried = list[tuple[float, Term]]()
     for number, terms in enumerate(start.library.terms):
-        gain, price, _ = start.state.gains_of_family(number)
-        tried += zip(np.where(gain > 0, gain - price, -np.inf).tolist(), terms, strict=True)
+        tried += zip(start.state.nets(number).tolist(), terms, strict=True)
     tried.sort(key=lambda scored: -scored[0])
     likely = {_subject(chosen): chosen}
     for net, term in tried:

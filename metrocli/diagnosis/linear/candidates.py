@@ -84,6 +84,11 @@ class CandidateGroup:
     """Whole signatures of the alternatives whose columns are their visible parts"""
 
     @property
+    def effect(self) -> Effect:
+        """The effect of its first alternative; others may be other forms of it."""
+        return self.alternatives[0].effect
+
+    @property
     def form(self) -> tuple[str, int, int]:
         """Name, number of alternatives and number of columns of each, by which families of other tests are matched."""
         return self.name, self.columns.count, self.columns.parameters

@@ -9,7 +9,7 @@ Method: docs/algorithms/what-can-be-seen.md.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import field
 from functools import cached_property
 
@@ -112,15 +112,6 @@ class Linearised:
     def weights_of(self, group: Group) -> Array:
         """Return the factors of the rows of a group beside the noise that the group states, (rows of the group,)."""
         return np.asarray(group.observations.deviations.T.ravel() / self.scale[self.stretch(group)])
-
-    def of_several_groups(self) -> Iterator[tuple[str, Mask]]:
-        """Yield name and rows of each group of readings, if there are several, such as encoders and distances.
-
-        Groups of few readings, which show too little of their noise, are left out.
-        """
-        # a single group has no other to be compared with
-        groups = self.model.readings if self.model.readings[1:] else ()
-        yield from ((group.name, self.rows_of(group)) for group in groups if group.observations.count >= FEWEST)
 
     @cached_property
     def in_reported_unit(self) -> Mask:

@@ -15,7 +15,6 @@ from metrocli.adjust.model.observations import Mask
 from metrocli.diagnosis.linear.projection import Linearised
 from metrocli.diagnosis.linear.signatures import of_places, scan_with_values
 from metrocli.effects.effect import Effect
-from metrocli.effects.links.own import NoValueAtReadingError
 from metrocli.effects.model import Model
 
 _MOST_ELEMENTS, _FEWEST, _MOST = 20_000_000, 8, 1000
@@ -108,7 +107,7 @@ def scanned_columns(
     # (docs/decisions/130-dense-scans.md)
     wanted, left = start, most_tried(effect, system.rows) - len(start)
     while wanted:
-        for scanned, columns in _with_values(system, effect, places, wanted, first=wanted is start):
+        for scanned, columns in scan_with_values(system, effect, places, wanted, needed=wanted is start):
             full, block, chosen = columns
             products = seen.T @ full
             some = itertools.islice(of_places(model, block, chosen, places), _PLACES)
@@ -116,22 +115,6 @@ def scanned_columns(
             yield scanned, columns
         between = _between(sketches, grid)[: max(left, 0)]
         wanted, left = [{parameter.name: value} for value in between], left - len(between)
-
-
-def _with_values(
-    system: Linearised,
-    effect: Effect,
-    places: Sequence[tuple[str, ...]],
-    wanted: Sequence[Mapping[str, float]],
-    *,
-    first: bool,
-) -> Iterator[tuple[Mapping[str, float], tuple[Array, Block, Mask]]]:
-    """Yield what `scan_with_values` yields; that none in between has a value is not an error."""
-    try:
-        yield from scan_with_values(system, effect, places, wanted)
-    except NoValueAtReadingError:
-        if first:
-            raise
 
 
 def sketch_vectors(system: Linearised) -> Array:

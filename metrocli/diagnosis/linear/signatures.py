@@ -80,11 +80,15 @@ def scan(
 
 
 def scan_with_values(
-    system: Linearised, effect: Effect, places: Sequence[tuple[str, ...]], scans: Sequence[Mapping[str, float]]
+    system: Linearised,
+    effect: Effect,
+    places: Sequence[tuple[str, ...]],
+    scans: Sequence[Mapping[str, float]],
+    needed: bool = True,
 ) -> Iterator[tuple[Mapping[str, float], tuple[Array, Block, Mask]]]:
     """Yield the scanned values with what `scan` yields, without those at which an own effect has no value at a reading.
 
-    Raises NoValueAtReadingError if it has none at all of them.
+    Raises NoValueAtReadingError if it has none at all of them, unless these are not `needed`.
     """
     if not effect.definition:
         yield from zip(scans, scan(system, effect, places, scans) if scans else (), strict=True)
@@ -99,7 +103,7 @@ def scan_with_values(
             continue
         count += 1
         yield values, columns
-    if without is not None and not count:
+    if without is not None and needed and not count:
         raise without
 
 
