@@ -157,8 +157,10 @@ def _in_white_noise(state: State) -> State:
 def strongest(state: State) -> float:
     """Return the level of the strongest candidate beside a state, counted over all."""
     # a net of 0 is just at the level, and one of -_LEVEL at the level 1: none counts as less
-    nets = [np.array([-_LEVEL]), *map(state.nets, range(len(state.measurement.families))), state.nets_of_readings()]
-    return float(np.exp(-max(float(np.concatenate(nets).max()) + _LEVEL, 0.0)))
+    gain, price, _ = state.gains_of_readings()
+    of_families = map(state.nets, range(len(state.measurement.families)))
+    nets = np.concatenate([[-_LEVEL], (gain - price)[gain > 0], *of_families])
+    return float(np.exp(-max(float(nets.max()) + _LEVEL, 0.0)))
 
 
 def _variance_groups(state: State) -> tuple[VarianceGroup, ...]:

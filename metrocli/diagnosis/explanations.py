@@ -5,8 +5,6 @@ Method: docs/algorithms/evidence.md.
 
 from __future__ import annotations
 
-from itertools import pairwise
-
 import numpy as np
 
 from metrocli.adjust.model.observations import Mask
@@ -156,11 +154,9 @@ def _visible(state: State, part: Random) -> float:
     m = state.measurement
     basis = m.system.basis.of_members
     whole = float((part.columns**2).sum())
-    order, begins = m.by_member
     if part.local:
         inside = 0.0
-        for a, b in pairwise(begins):
-            rows = order[a:b]
+        for rows in m.rows_of_members:
             both = np.concatenate([basis.local[rows], m.system.basis.shared[rows]], axis=1)
             inside += float(((both.T @ part.columns[rows]) ** 2).sum())
     else:

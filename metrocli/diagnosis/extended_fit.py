@@ -191,7 +191,7 @@ def readings_kept(m: Measurement, wrong: Iterable[Fixed]) -> dict[str, Mask]:
     """Return for each group a mask of the readings of which no component is among the wrong ones."""
     kept, out = dict[str, Mask](), np.zeros(m.system.rows, dtype=bool)
     for part in wrong:
-        out[m.places[part.number][m.places[part.number] >= 0]] = True
+        out[m.rows_of(part.number)] = True
     for group in m.job.model.readings:
         by_reading = out[m.system.stretch(group)].reshape(-1, len(group.observations.readings))
         kept[group.name] = np.asarray(~by_reading.any(axis=1))

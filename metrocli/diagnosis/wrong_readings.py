@@ -10,6 +10,7 @@ from itertools import combinations
 
 import numpy as np
 
+from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.robust import as_likely
 from metrocli.diagnosis.evidence.measurement import Measurement
 from metrocli.diagnosis.evidence.parts import Fixed
@@ -41,9 +42,9 @@ def wrong_readings(state: State) -> tuple[Outlier, ...]:
 
 def _outlier(state: State, part: Fixed, places: Places) -> Outlier:
     """Return a wrong reading with what would explain as much, beside all else."""
-    m, less = state.measurement, state.beside(part)
+    m, taken = state.measurement, state.taken_by(part)
     keys, variance = m.keys_of(part.number), state.variance
-    _, rank, explained = less.of_readings
+    _, rank, explained = state.of_readings(taken)
     # an error of several components can always explain more: only readings of its rank compare
     squares = np.where(rank == rank[part.number], explained, 0.0) / variance
     own = float(squares[part.number])
@@ -52,7 +53,7 @@ def _outlier(state: State, part: Fixed, places: Places) -> Outlier:
     rivals = [at for at in np.flatnonzero(as_likely(np.minimum(squares, own))).tolist() if at not in known]
     rivals.sort(key=lambda at: -squares[at])
     others = tuple(m.keys_of(at) for at in rivals)
-    effects = tuple(_at_its_place(less, places, keys, own, variance))
+    effects = tuple(_at_its_place(state, taken, places, keys, own))
     return Outlier(keys, float(np.sqrt(own)), others, effects)
 
 
@@ -67,12 +68,11 @@ def _places(m: Measurement) -> Places:
 
 
 def _at_its_place(
-    less: State, places: Places, keys: Mapping[str, str], own: float, variance: float
+    state: State, taken: Array, places: Places, keys: Mapping[str, str], own: float
 ) -> Iterator[Candidate]:
     """Yield the best form of each effect at the place of a reading that explains as much as the error of the reading.
 
-    `less` is the state without this error, which explains the squares `own` over the variance. Where an effect also
-    changes other readings, these contradict it unless they are much less certain.
+    Where it also changes other readings, these contradict it unless they are much less certain.
     """
     # a reading of a tracer, a point and a pose lies at each of these, and at each combination
     here = [combination for size in range(1, len(keys) + 1) for combination in combinations(keys.items(), size)]
@@ -81,7 +81,7 @@ def _at_its_place(
         for family, number in places.get(frozenset(place), ()):
             families.setdefault(family, []).append(number)
     for family, numbers in families.items():
-        explained = less.of_family(family)[0][numbers] / variance
+        explained = state.of_family(family, taken)[0][numbers] / state.variance
         best = int(np.argmax(explained))
         if as_likely(np.array([own, explained[best]]))[1]:
-            yield less.measurement.alternative((family, numbers[best]))
+            yield state.measurement.alternative((family, numbers[best]))

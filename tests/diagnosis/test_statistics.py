@@ -221,10 +221,22 @@ def test_what_a_candidate_explains_beside_another_is_that_of_both_together() -> 
 def test_wrong_readings_have_their_studentised_residuals() -> None:
     system = field().system
     redundancy = 1 - system.basis.squares()
-    _, rank, explained = start().of_readings
+    _, rank, explained = start().of_readings()
     good = rank > 0
     assert good.mean() > 0.9
     assert np.allclose(explained[good], (system.residual**2 / redundancy)[good], rtol=1e-8)
+
+
+def test_without_a_wrong_reading_the_others_explain_what_they_do_in_the_smaller_state() -> None:
+    m = field()
+    state = State.of(m, [m.reading(3), m.effect(2, 0), m.reading(77)])
+    for one in state.readings:
+        less, taken = state.beside(one), state.taken_by(one)
+        for found, expected in zip(state.of_readings(taken)[1:], less.of_readings()[1:], strict=True):
+            np.testing.assert_allclose(found, expected, atol=1e-7)
+        for family in range(len(m.families)):
+            for found, expected in zip(state.of_family(family, taken), less.of_family(family), strict=True):
+                np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-7)
 
 
 @pytest.mark.parametrize(("draws", "most"), [(30, 4), pytest.param(200, 14, marks=pytest.mark.slow)])

@@ -94,11 +94,11 @@ class Measurement:
         return factors
 
     @cached_property
-    def by_member(self) -> tuple[Index, Index]:
-        """Rows in the order of their local members, and where each member begins among them, (members + 1,)."""
+    def rows_of_members(self) -> list[Index]:
+        """Rows of each local member."""
         member, members = self.system.basis.member, self.system.basis.members
         order = np.argsort(member, kind="stable")
-        return order, np.searchsorted(member[order], np.arange(members + 1))
+        return np.split(order, np.searchsorted(member[order], np.arange(members + 1)))[1:-1]
 
     def is_local(self, knots: Functions) -> bool:
         """Whether each unit of a covariate is alone in one local member, so that its errors are eliminated with it."""
@@ -193,9 +193,14 @@ class Measurement:
         seen = self.system.seen(whole)
         return fixed(whole, seen.T @ seen, (TERMS - key[0], key[1]), price, TERM)
 
+    def rows_of(self, reading: int) -> Index:
+        """Return the rows of a reading that may be wrong, (d,)."""
+        rows: Index = self.places[reading]
+        return rows[rows >= 0]
+
     def reading(self, number: int) -> Fixed:
         """Return the error of one reading as fixed columns."""
-        rows = self.places[number][self.places[number] >= 0]
+        rows = self.rows_of(number)
         whole = np.zeros((self.system.rows, len(rows)))
         whole[rows, np.arange(len(rows))] = 1.0
         gram = np.eye(len(rows)) - self.system.basis.products(rows, rows)
@@ -204,7 +209,7 @@ class Measurement:
 
     def correlation(self, first: Fixed, other: Fixed) -> Array:
         """Return the products of what is visible of the errors of two readings, whose columns have the length 1."""
-        some, others = (self.places[part.number][self.places[part.number] >= 0] for part in (first, other))
+        some, others = self.rows_of(first.number), self.rows_of(other.number)
         same = (some[:, None] == others).astype(float)
         return np.asarray(first.turn.T @ (same - self.system.basis.products(some, others)) @ other.turn)
 

@@ -232,7 +232,7 @@ def _is_of_one_reading(state: State, family: int, number: int, explained: float,
     its readings.
     """
     m = state.measurement
-    gains, rank, by_readings = state.of_readings
+    gains, rank, by_readings = state.of_readings()
     alike = (rank > 0) & (rank <= m.families[family].columns.parameters) & (by_readings > SAME * explained)
     alike &= gains > gain - ALIKE
     rows = m.places[alike]

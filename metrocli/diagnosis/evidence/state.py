@@ -8,14 +8,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cached_property
-from itertools import pairwise
 
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index
 from metrocli.diagnosis.evidence.likelihood import ROUNDING
-from metrocli.diagnosis.evidence.parts import LARGEST, READINGS
+from metrocli.diagnosis.evidence.parts import LARGEST, READINGS, Fixed
 from metrocli.diagnosis.evidence.prices import FURTHER, OF_ALL, gain_of_columns
 from metrocli.diagnosis.evidence.products import local_columns, products_of_members, shared_parts
 from metrocli.diagnosis.evidence.scored import Scored
@@ -39,9 +38,7 @@ class State(Scored):
         across = np.zeros(columns.shape)
         if columns.shape[1]:
             scale = np.exp(self.logs[self.fit.products.of_local] / 2)
-            order, begins = m.by_member
-            for member, half in enumerate(self.fit.half):
-                rows = order[begins[member] : begins[member + 1]]
+            for rows, half in zip(m.rows_of_members, self.fit.half, strict=True):
                 across[rows] = (columns[rows] * scale) @ half.T
         return across
 
@@ -57,8 +54,8 @@ class State(Scored):
         m = self.measurement
         x = np.concatenate([np.zeros((m.system.rows, 0)), *(columns for _, columns in self.parts)], axis=1)
         if not self.members_are_free:
-            errors, (order, begins) = self._by_members, m.by_member
-            for shown, some in zip(self.fit.shown, (order[a:b] for a, b in pairwise(begins)), strict=True):
+            errors = self._by_members
+            for shown, some in zip(self.fit.shown, m.rows_of_members, strict=True):
                 rows = without_gathering(some)
                 x[rows] -= errors[rows] @ shown[:, :-1]
         return solved(self.fit.lower, x.T).T
@@ -67,6 +64,13 @@ class State(Scored):
     def parts(self) -> list[tuple[object, Array]]:
         """What is shared and entered, with its keys, free of the unknowns unless members have errors."""
         return shared_parts(self.measurement, self.fixed, self.random, not self.members_are_free)
+
+    def shared_columns(self, rows: Index | slice = slice(None)) -> Array:
+        """Return the shared columns of unknowns and parts, and last the residual, at some rows, (rows, p + 1)."""
+        system = self.measurement.system
+        unknowns = [system.basis.shared[rows]] if self.members_are_free else []
+        parts = (columns[rows] for _, columns in self.parts)
+        return np.concatenate([*unknowns, *parts, system.residual[rows, None]], axis=1)
 
     @cached_property
     def basis(self) -> Basis:
@@ -225,9 +229,26 @@ class State(Scored):
         inside = self._inside(name, columns, cache)
         return np.asarray(cache[key] - inside.T @ inside)
 
-    def of_family(self, family: int) -> tuple[Array, Array]:
-        """Return the squares that each alternative of a family explains, and its rank."""
-        return quadratic(*self.left(family), self.measurement.families[family].raw)
+    def taken_by(self, part: Fixed) -> Array:
+        """Return columns d, (rows, rank): without a fixed part the state would leave `P + d d'` of anything."""
+        ends = np.cumsum([0, *(each.rank for each in self.fixed)])
+        j = next(j for j, each in enumerate(self.fixed) if each is part)
+        at, lower = self.fit.fixed, self.fit.lower[self.fit.fixed :, self.fit.fixed :]
+        inverse = np.linalg.inv(lower)
+        own = slice(ends[j], ends[j + 1])
+        covariance = inverse[:, own].T @ inverse[:, own]
+        w = self.entered[:, self.entered.shape[1] - (len(self.fit.lower) - at) :] @ inverse[:, own]
+        lower = np.linalg.cholesky(covariance)
+        return solved(lower, w.T).T
+
+    def of_family(self, family: int, taken: Array | None = None) -> tuple[Array, Array]:
+        """Return the squares that each alternative explains, and its rank; without the part that `taken_by` is for."""
+        gram, right = self.left(family)
+        if taken is not None:
+            along = self.measurement.families[family].columns.products(taken)
+            gram = gram + along @ np.swapaxes(along, 1, 2)
+            right = right + along @ (taken.T @ self.measurement.system.residual)
+        return quadratic(gram, right, self.measurement.families[family].raw)
 
     def gains_of_family(self, family: int) -> tuple[Array, Array, Array]:
         """Return the gain of each alternative, its price, and the squares that it explains."""
@@ -243,29 +264,36 @@ class State(Scored):
     def nets(self, family: int) -> Array:
         """Return the net gain of each alternative of a family, computed once; -inf where it explains nothing."""
         if ("nets", family) not in self.cache:
-            self.cache["nets", family] = _net(*self.gains_of_family(family))
+            gain, price, _ = self.gains_of_family(family)
+            self.cache["nets", family] = np.where(gain > 0, gain - price, -np.inf)
         return np.asarray(self.cache["nets", family])
-
-    def nets_of_readings(self) -> Array:
-        """Return the net gain of an error of each reading; -inf where it explains nothing."""
-        return _net(*self.gains_of_readings())
 
     def gains_of_readings(self) -> tuple[Array, Array, Array]:
         """Return the gain of an error of each reading, its price, and the squares that it explains."""
-        gain, q, t = self.of_readings
+        gain, q, t = self.of_readings()
         return gain, self.measurement.prices.of_ranks(READINGS, q), t
 
+    def of_readings(self, taken: Array | None = None) -> tuple[Array, Array, Array]:
+        """Return the gain of an error of each reading, its rank, and the squares that it explains.
+
+        Without a part if its directions `taken` are given (`taken_by`).
+        """
+        if taken is None:
+            return self._of_readings
+        there = (rows := self.measurement.places) >= 0
+        own = np.where(there[:, :, None], taken[rows], 0.0)
+        residual = self.residual + taken @ (taken.T @ self.measurement.system.residual)
+        return self._explained_by_readings(self.of_rows(rows) + own @ np.swapaxes(own, 1, 2), residual)
+
     @cached_property
-    def of_readings(self) -> tuple[Array, Array, Array]:
-        """The gain of an error of each reading, its rank, and the squares that it explains."""
+    def _of_readings(self) -> tuple[Array, Array, Array]:
+        return self._explained_by_readings(self.of_rows(self.measurement.places), self.residual)
+
+    def _explained_by_readings(self, gram: Array, residual: Array) -> tuple[Array, Array, Array]:
         rows = self.measurement.places
-        gram, right = self.of_rows(rows), np.where(rows >= 0, self.residual[rows], 0.0)
+        right = np.where(rows >= 0, residual[rows], 0.0)
         weak = np.einsum("iaa->ia", gram).sum(axis=1) < 1e-3
         t, q = quadratic(gram, right, np.ones(rows.shape))
         q = np.where(weak, 0, q)
         t = np.where(q > 0, t, 0.0)
         return gain_of_columns(t, q, self.fit.squares, self.freedoms), q, t
-
-
-def _net(gain: Array, price: Array, explained: Array) -> Array:
-    return np.where(gain > 0, gain - price, -np.inf)

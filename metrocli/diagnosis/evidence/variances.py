@@ -7,7 +7,6 @@ anew. Method: docs/algorithms/evidence.md.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from itertools import pairwise
 
 import numpy as np
 
@@ -117,10 +116,8 @@ def _of_units(state: State, number: int) -> tuple[Array, Array]:
     others = [state.own.local, *([m.system.basis.shared] if state.members_are_free else [])] if key not in cache else []
     visible, taken = np.zeros((2, own.count, size, size))
     right = np.zeros((own.count, size))
-    order, begins = m.by_member
-    for a, b in pairwise(begins):
-        some = order[a:b]
-        some = some[own.component[some] >= 0]
+    for every in m.rows_of_members:
+        some = every[own.component[every] >= 0]
         if len(some):
             rows = without_gathering(some)
             c, unit = columns[rows], own.unit[some[0]]

@@ -86,17 +86,9 @@ class Linearised:
         return round(self.rows - self.idle - self.basis.trace)
 
     @cached_property
-    def measured(self) -> Mask:
-        """The rows that are readings, not priors."""
-        mask = np.zeros(self.rows, dtype=bool)
-        for group in self.model.readings:
-            mask[self.stretch(group)] = True
-        return mask
-
-    @cached_property
     def typical_scale(self) -> float:
         """The median standard deviation of the rows that are readings."""
-        return float(np.median(self.scale[self.measured]))
+        return float(np.median(np.concatenate([self.scale[self.stretch(group)] for group in self.model.readings])))
 
     def stretch(self, group: Group) -> slice:
         """Return the rows of a group, which follow each other."""

@@ -109,7 +109,7 @@ def test_the_likelihood_is_the_restricted_one(kind: str) -> None:
     bare = float(m.system.residual @ projected(v, j) @ m.system.residual)
     full = projected(v, np.concatenate([j, *(one.columns for one in fixed)], axis=1))
     prior = m.squares - float(m.system.residual @ m.system.residual)
-    assert state.given.squares == pytest.approx(bare + prior, rel=1e-9)
+    assert state.bare_squares == pytest.approx(bare + prior, rel=1e-9)
     assert state.fit.squares == pytest.approx(float(m.system.residual @ full @ m.system.residual) + prior, rel=1e-9)
     log_det = np.linalg.slogdet(v)[1] + np.linalg.slogdet(j.T @ np.linalg.solve(v, j))[1]
     assert state.fit.log_det == pytest.approx(log_det, rel=1e-9)
