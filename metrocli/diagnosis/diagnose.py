@@ -88,12 +88,12 @@ def diagnose(
     parts: list[Fixed | Random] = [*state.named, *(part for part in state.random if part.kind == SCATTER)]
     whole = gain_of_parts(state, parts) if scattered else None
     rivals = [(name.alternative, rival.alternative) for name in names for rival in name.rivals[:2]]
-    noise = noise_of(state)
+    m, noise = state.measurement, noise_of(state)
     progress.doing("computing what the measurement could not detect")
     return Diagnosis(
         job=first.measurement.job,
         noise=noise,
-        variance_groups=_variance_groups(state),
+        variance_groups=tuple(VarianceGroup(*m.units[number][:2], ratio) for number, ratio in m.noise.items()),
         outliers=wrong_readings(state),
         findings=tuple(_findings(state, zip(names, gained, shifts, strict=False), noise.ratio)),
         # the last gain is that of all names together
@@ -161,11 +161,6 @@ def strongest(state: State) -> float:
     of_families = map(state.nets, range(len(state.measurement.families)))
     nets = np.concatenate([[-_LEVEL], (gain - price)[gain > 0], *of_families])
     return float(np.exp(-max(float(nets.max()) + _LEVEL, 0.0)))
-
-
-def _variance_groups(state: State) -> tuple[VarianceGroup, ...]:
-    m = state.measurement
-    return tuple(VarianceGroup(*m.units[number][:2], ratio) for number, ratio in m.noise.items())
 
 
 def _findings(

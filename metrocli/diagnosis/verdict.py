@@ -53,13 +53,7 @@ def as_data(diagnosis: Diagnosis) -> dict[str, Any]:
         "unexplained": None if left is None else _left(diagnosis.job, left),
         "processes": [_process(diagnosis.job, error) for error in diagnosis.correlated_errors],
         "laws": [_law(diagnosis.job, law) for law in diagnosis.laws],
-        "candidates": candidates(
-            diagnosis.job,
-            diagnosis.design,
-            [f.effect for f in diagnosis.findings],
-            [scatter.effect.name for scatter in diagnosis.scatters],
-            not diagnosis.ended_early,
-        ),
+        "candidates": candidates(diagnosis.job, diagnosis.design, diagnosis.conclusions),
         "alike": alike(diagnosis.design),
         "separate_by": list(diagnosis.separate_by),
     }
@@ -135,7 +129,7 @@ def _short(values: Array) -> list[float]:
 
 def design_data(job: AdjustedJob, design: Detectability) -> dict[str, Any]:
     """Return what a measurement can detect, as plain data."""
-    return {"part": _part(job), "candidates": candidates(job, design, []), "alike": alike(design)}
+    return {"part": _part(job), "candidates": candidates(job, design), "alike": alike(design)}
 
 
 def _part(job: AdjustedJob) -> dict[str, Any] | None:

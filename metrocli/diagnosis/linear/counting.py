@@ -81,4 +81,4 @@ def of_some_members(
         fewer.append(replace(family, columns=columns, raw=raw, gram=gram))
     if lost > _LOST * sum(family.columns.count for family in families):
         return system, families
-    return replace(system, residual=np.zeros(len(rows)), basis=own, scale=system.scale[rows], idle=0), fewer
+    return replace(system, residual=np.zeros(len(rows)), basis=own, scale=system.scale[rows]), fewer

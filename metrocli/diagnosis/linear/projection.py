@@ -56,8 +56,6 @@ class Linearised:
     """Standard deviation of each row in the unit of its reading, (rows,)"""
     sizes: Array
     """Norm of J's column of each unknown, (unknowns,)"""
-    idle: int = 0
-    """Number of rows that are left out; they are zero everywhere"""
     unweighted: Linearised | None = None
     """The system before its rows were multiplied by weights; None if it is this one"""
     runs: dict[str, ChainValues] = field(default_factory=dict, compare=False, repr=False)
@@ -83,7 +81,7 @@ class Linearised:
     def dof(self) -> int:
         """Degrees of freedom, the trace of M."""
         # the trace is a whole number but for rounding: each direction counts as one
-        return round(self.rows - self.idle - self.basis.trace)
+        return round(self.rows - self.basis.trace)
 
     @cached_property
     def typical_scale(self) -> float:

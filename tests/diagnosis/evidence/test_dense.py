@@ -205,7 +205,7 @@ def test_held_out_readings_have_the_density_of_the_others(kind: str) -> None:
         p = projected(v[np.ix_(kept, kept)], turn[:, :rank])
         extra = m.squares - float(m.system.residual @ m.system.residual)
         squares = float(m.system.residual[kept] @ p @ m.system.residual[kept]) + extra * prior
-        dof = len(kept) - rank + 2.0 - m.system.idle
+        dof = len(kept) - rank + 2.0
         det = np.linalg.slogdet(v[np.ix_(kept, kept)])[1]
         seen = own @ np.linalg.svd(own)[2][:rank].T
         det += np.linalg.slogdet(seen.T @ np.linalg.solve(v[np.ix_(kept, kept)], seen))[1]
