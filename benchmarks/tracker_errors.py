@@ -70,7 +70,7 @@ def outcome(name: str, number: int, size: tuple[int, int] = machine.SIZE) -> Out
     (candidate,) = (one for one in diagnosis.design.candidates if one.alternative.effect.name == name)
     sets = [{one.alternative.effect.name, *(r.alternative.effect.name for r in one.rivals)} for one in names]
     wrong = tuple(str(one.alternative) for one, known in zip(names, sets, strict=True) if name not in known)
-    return Outcome(diagnosis.verdict, status(candidate, names), made, candidate.undetected.size, wrong)
+    return Outcome(diagnosis.verdict, status(candidate, diagnosis.conclusions), made, candidate.undetected.size, wrong)
 
 
 def tables(job: AdjustedJob) -> npt.NDArray[np.float64]:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import field, replace
-from itertools import combinations, permutations, product, starmap
+from functools import partial
+from itertools import combinations
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,7 +21,6 @@ if TYPE_CHECKING:
 
 Inputs = Mapping[str, object]
 _AXES = ("x", "y", "z")
-_TURNED = ("turned by 90 degrees about {0}", "turned by -90 degrees about {0}", "turned by 180 degrees about {0}")
 
 
 @dataclass(frozen=True)
@@ -57,18 +57,9 @@ def corrections(inputs: Inputs, unplaced: Collection[str] = ()) -> Iterator[tupl
     """
     tables = [(key, table) for key, table in inputs.items() if isinstance(table, Table)]
     # two passes and no sorted list: tables of millions of rows are changed one at a time
-    for axes, (key, table) in product((False, True), tables):
-        for words, write, factor, changed in _of_table(table):
-            sort = "units" if abs(factor) != 1.0 else "handed" if words in _HANDED else words
-            turns = words.startswith(_TURNS)
-            if (sort == "handed" or turns) != axes or (turns and key in unplaced):
-                continue
-            columns = sum(changed.columns[name] is not table.columns[name] for name in table if not _known(name))
-            alike = key if key in unplaced and sort == "handed" else ""
-            mistake = Mistake(key, words, write, min(abs(factor), 1.0), table.file, sort, columns, alike)
-            yield mistake, {**inputs, key: changed}
-        if not axes:
-            for mistake, changed in other_scales(key, table, _lengths(table)):
+    for corrected in (_of_numbers, partial(_of_axes, unplaced=unplaced)):
+        for key, table in tables:
+            for mistake, changed in corrected(key, table):
                 yield mistake, {**inputs, key: changed}
 
 
@@ -84,18 +75,31 @@ _TURNING = ("a", "b", "c")
 """Positions of rotary axes: their sense is a setting of the machine"""
 
 
-def _of_table(table: Table) -> Iterator[tuple[str, str, float, Table]]:
-    """Yield what may be wrong, what to write instead, the factor of the numbers, and the corrected table."""
+Correction = tuple[Mistake, Table]
+"""A mistake in a table, and the corrected table"""
+
+
+def _correction(
+    key: str, table: Table, words: tuple[str, str], changed: Table, sort: str = "", factor: float = 1.0, alike: str = ""
+) -> Correction:
+    """Return a mistake by its words and what to write instead; it is a sort of its own unless one is given."""
+    columns = sum(changed.columns[name] is not table.columns[name] for name in table if not _known(name))
+    return Mistake(key, *words, min(factor, 1.0), table.file, sort or words[0], columns, alike), changed
+
+
+def _of_numbers(key: str, table: Table) -> Iterator[Correction]:
+    """Yield other units, of whole columns and of some rows, and angles that are swapped or have the other sign."""
     for names in _lengths(table):
-        yield from _units_of_lengths(table, names)
+        headings = in_a_row(_headings(table, names))
+        for factor, words, write in _other_units(table, names):
+            changed = _no_looser(_scaled(table, names, factor), factor)
+            yield _correction(key, table, (f"{headings} {words}", write), changed, "units", factor)
     angles = [name for name, unit in table.units.items() if unit == "rad"]
     for names in _alike_angles(angles):
-        yield from _units_of_angles(table, names)
-    for one, other in combinations(angles, 2):
-        yield (*_swap(one, other), 1.0, _swapped(table, one, other))
-    for angle in (angle for angle in angles if angle not in _TURNING):
-        yield _sign(angle)[0], _sign(angle)[1], 1.0, _scaled(table, [angle], -1.0)
-    yield from _of_axes(table, [name for name in _AXES if name in table])
+        yield from _units_of_angles(key, table, names)
+    signed = [name for name in angles if name not in _TURNING]
+    yield from (_correction(key, table, *both) for both in _swaps_and_signs(table, angles, signed))
+    yield from other_scales(key, table, _lengths(table))
 
 
 def _lengths(table: Table) -> list[list[str]]:
@@ -111,43 +115,37 @@ def _alike_angles(angles: Sequence[str]) -> list[list[str]]:
     turning = [name for name in angles if name in _TURNING]
     others = [name for name in angles if name not in turning]
     groups = [list(angles), *([turning, others, *([name] for name in turning)] if turning else [])]
-    return [group for i, group in enumerate(groups) if group not in groups[:i]]
-
-
-def _units_of_lengths(table: Table, names: Sequence[str]) -> Iterator[tuple[str, str, float, Table]]:
-    headings = in_a_row(_headings(table, names))
-    for factor, words, unit in _other_units(table, names):
-        write = f"{in_a_row([f'{name}_{unit}' for name in names])} in the heading"
-        numbers = f"the numbers of {headings} times {factor:.10g}"
-        changed = _no_looser(_scaled(table, names, factor), factor)
-        yield f"{headings} {words}", write if unit else numbers, factor, changed
+    return [group for i, group in enumerate(groups) if group and group not in groups[:i]]
 
 
 def _other_units(table: Table, names: Sequence[str]) -> Iterator[tuple[float, str, str]]:
-    """Yield factors that correct numbers in another unit, with what they are in words, and that unit if it has a name.
+    """Yield factors that correct numbers in another unit, with what they are in words, and what to write instead.
 
     A factor on a column in inches can lead to a size that no unit has: then the numbers are to be changed.
     """
-    verb = "are" if names[1:] else "is"
+    read, verb = size_of_unit(table, names[0]), "are" if names[1:] else "is"
     if table.units[names[0]] == "rad":
-        read = size_of_unit(table, names[0])
-        angles = {
-            unit.symbol: unit.inside(1.0) / read
-            for unit in DIMENSIONS["angle"].units
-            if unit.reported or unit.symbol == "gon"
-        }
-        yield from ((factor, f"{verb} in {symbol}", symbol) for symbol, factor in angles.items() if factor != 1.0)
+        angles = [unit for unit in DIMENSIONS["angle"].units if unit.reported or unit.symbol == "gon"]
+        factors = {unit.symbol: unit.inside(1.0) / read for unit in angles}
+        for symbol, factor in factors.items():
+            if factor != 1.0:
+                yield factor, f"{verb} in {symbol}", _in_heading(names, symbol)
         return
-    read = size_of_unit(table, names[0])
     per_metre, per_centimetre = (find_unit(symbol, "length").inside(1.0) for symbol in ("m", "cm"))
     for factor in (per_metre, 1 / per_metre, INCH, 1 / INCH, per_centimetre, 1 / per_centimetre):
         lengths = DIMENSIONS["length"].units
         meant = next((unit.symbol for unit in lengths if _alike(unit.times / unit.over, factor * read)), "")
         off = {INCH: "in inches", 1 / INCH: "divided by 25.4"}.get(factor, f"off by a factor {factor:g}")
-        yield factor, f"{verb} in {meant}" if meant else f"{verb} {off}", meant
+        numbers = f"the numbers of {in_a_row(_headings(table, names))} times {factor:.10g}"
+        write = _in_heading(names, meant) if meant else numbers
+        yield factor, f"{verb} in {meant}" if meant else f"{verb} {off}", write
 
 
-def other_scales(key: str, table: Table, groups: Iterable[Sequence[str]]) -> Iterator[tuple[Mistake, Table]]:
+def _in_heading(names: Sequence[str], unit: str) -> str:
+    return f"{in_a_row([f'{name}_{unit}' for name in names])} in the heading"
+
+
+def other_scales(key: str, table: Table, groups: Iterable[Sequence[str]]) -> Iterator[Correction]:
     """Yield columns that are in another unit in some rows: of one source, or of one of two sizes.
 
     Their size comes nearer to that of the other rows with another unit, so that few are tried.
@@ -156,32 +154,29 @@ def other_scales(key: str, table: Table, groups: Iterable[Sequence[str]]) -> Ite
         headings, size = in_a_row(_headings(table, names)), np.max(np.abs([table.numbers(name) for name in names]), 0)
         for where, rows in parts(table, size):
             for factor, words, _ in _nearer(table, names, float(np.median(size[~rows])), float(np.median(size[rows]))):
-                mistake = Mistake(
-                    key, f"{headings} {where} {words}", f"{headings} {where} times {factor:.10g}", min(factor, 1.0),
-                    table.file, ROWS if where.startswith("in") else "scales", len(names),
-                )  # fmt: skip
+                how = f"{headings} {where} {words}", f"{headings} {where} times {factor:.10g}"
                 columns = {name: table.numbers(name) * np.where(rows, factor, 1.0) for name in names}
-                yield mistake, table.changed(columns)
+                sort = ROWS if where.startswith("in") else "scales"
+                yield _correction(key, table, how, table.changed(columns), sort, factor)
 
 
-def other_columns(key: str, table: Table, names: Sequence[str], usual: float = 0) -> Iterator[tuple[Mistake, Table]]:
+def other_columns(key: str, table: Table, names: Sequence[str], usual: float = 0) -> Iterator[Correction]:
     """Yield columns whose size comes nearer to the usual, that of others of the same sort, with another unit."""
     size = {name: np.abs(table.numbers(name)) for name in names}
     for name in names:
         (heading,), rest = _headings(table, [name]), [size[other] for other in names if other != name]
         others = float(np.median(rest)) if rest else usual
-        for factor, words, unit in _nearer(table, [name], others, float(np.median(size[name]))):
-            write = f"{name}_{unit} in the heading" if unit else f"the numbers of {heading} times {factor:.10g}"
-            mistake = Mistake(key, f"{heading} {words}", write, min(factor, 1.0), table.file, "scales")
-            yield mistake, _scaled(table, [name], factor)
+        for factor, words, write in _nearer(table, [name], others, float(np.median(size[name]))):
+            changed = _scaled(table, [name], factor)
+            yield _correction(key, table, (f"{heading} {words}", write), changed, "scales", factor)
 
 
 def _nearer(table: Table, names: Sequence[str], others: float, own: float) -> Iterator[tuple[float, str, str]]:
     """Yield the units that bring the size of numbers nearer to that of others, as `_other_units` does."""
     ratio = math.log(others / own) if others > 0 and own > 0 else 0.0
-    for factor, words, unit in _other_units(table, names):
-        if abs(ratio - math.log(factor)) < min(abs(ratio), math.log(_LIKE_OTHERS)):
-            yield factor, words, unit
+    for unit in _other_units(table, names):
+        if abs(ratio - math.log(unit[0])) < min(abs(ratio), math.log(_LIKE_OTHERS)):
+            yield unit
 
 
 def parts(table: Table, size: Array) -> Iterator[tuple[str, Mask]]:
@@ -201,9 +196,7 @@ def parts(table: Table, size: Array) -> Iterator[tuple[str, Mask]]:
             yield f"in {lines_in_words(lines)}", rows
 
 
-def _units_of_angles(table: Table, names: Sequence[str]) -> Iterator[tuple[str, str, float, Table]]:
-    if not names:
-        return
+def _units_of_angles(key: str, table: Table, names: Sequence[str]) -> Iterator[Correction]:
     degree, gon = (find_unit(symbol, "angle").inside(1.0) for symbol in ("deg", "gon"))
     read = size_of_unit(table, names[0])
     # sightings of networks have gon among their own corrections
@@ -213,37 +206,47 @@ def _units_of_angles(table: Table, names: Sequence[str]) -> Iterator[tuple[str, 
         meant = find_unit(symbol, "angle")
         if _alike(meant.times / meant.over, factor * read) or (not table.headings and symbol != "gon"):
             words = f"{in_a_row(_headings(table, names))} {verb} in {symbol}"
-            write = f"{in_a_row([f'{name}_{symbol}' for name in names])} in the heading"
-            yield words, write, factor, _scaled(table, names, factor)
+            yield _correction(
+                key, table, (words, _in_heading(names, symbol)), _scaled(table, names, factor), "units", factor
+            )
 
 
-def _of_axes(table: Table, axes: Sequence[str]) -> Iterator[tuple[str, str, float, Table]]:
+def _of_axes(key: str, table: Table, unplaced: Collection[str]) -> Iterator[Correction]:
     """Yield swapped, mirrored and turned axes."""
-    for one, other in combinations(axes, 2):
-        yield (*_swap(one, other), 1.0, _swapped(table, one, other))
-    for axis in axes:
-        yield *_sign(axis), 1.0, _scaled(table, [axis], -1.0)
-    if len(axes) < len(_AXES):
-        return
-    # swaps of two axes are above: orders that move every axis are the two that go round
-    for order in permutations(axes):
-        if all(one != other for one, other in zip(order, axes, strict=True)):
-            words = f"{', '.join(axes)} are in the order {', '.join(order)}"
-            yield words, f"{', '.join(order)} for {', '.join(axes)} in the headings", 1.0, _ordered(table, axes, order)
-    for first, second, third in (("x", "y", "z"), ("y", "z", "x"), ("z", "x", "y")):
-        half = _scaled(table, [first, second], -1.0)
-        yield _TURNED[2].format(third), f"{first} and {second} with the other sign", 1.0, half
-        for words, mirrored in ((_TURNED[0], second), (_TURNED[1], first)):
+    axes = [name for name in _AXES if name in table]
+    for words, changed in _swaps_and_signs(table, axes, axes):
+        # a right-handed list turns into a left-handed one: where the frame of the list is unknown, all fit alike
+        yield _correction(key, table, words, changed, "handed", alike=key if key in unplaced else "")
+    if len(axes) == len(_AXES) and key not in unplaced:
+        yield from (_correction(key, table, *both) for both in _turns(table))
+
+
+def _swaps_and_signs(
+    table: Table, names: Sequence[str], signed: Sequence[str]
+) -> Iterator[tuple[tuple[str, str], Table]]:
+    """Yield two columns for each other, and single ones with the other sign: words, what to write, and the table."""
+    for one, other in combinations(names, 2):
+        write = f"{other} for {one} and {one} for {other} in the headings"
+        yield (f"{one} and {other} are swapped", write), _ordered(table, (one, other), (other, one))
+    for name in signed:
+        yield (f"{name} has the wrong sign", f"{name} with the other sign"), _scaled(table, [name], -1.0)
+
+
+def _turns(table: Table) -> Iterator[tuple[tuple[str, str], Table]]:
+    """Yield what turns a list as a whole: words, what to write, and the turned table."""
+    x, y, z = _AXES
+    # swaps of two axes mirror: orders that move every axis are the two that go round
+    for order in ((y, z, x), (z, x, y)):
+        axes, other = ", ".join(_AXES), ", ".join(order)
+        write = f"{other} for {axes} in the headings"
+        yield (f"{axes} are in the order {other}", write), _ordered(table, _AXES, order)
+    for first, second, third in ((x, y, z), (y, z, x), (z, x, y)):
+        half = f"turned by 180 degrees about {third}", f"{first} and {second} with the other sign"
+        yield half, _scaled(table, [first, second], -1.0)
+        for degrees, mirrored in ((90, second), (-90, first)):
             write = f"{second} for {first} and {first} for {second} in the headings, {mirrored} with the other sign"
-            yield words.format(third), write, 1.0, _scaled(_swapped(table, first, second), [mirrored], -1.0)
-
-
-def _swap(one: str, other: str) -> tuple[str, str]:
-    return f"{one} and {other} are swapped", f"{other} for {one} and {one} for {other} in the headings"
-
-
-def _sign(name: str) -> tuple[str, str]:
-    return f"{name} has the wrong sign", f"{name} with the other sign"
+            swapped = _ordered(table, (first, second), (second, first))
+            yield (f"turned by {degrees} degrees about {third}", write), _scaled(swapped, [mirrored], -1.0)
 
 
 def _alike(one: float, other: float) -> bool:
@@ -258,8 +261,7 @@ def _headings(table: Table, names: Sequence[str]) -> list[str]:
 def size_of_unit(table: Table, name: str) -> float:
     """Return the unit in which a column is read, as a multiple of the internal unit."""
     dimension = "angle" if table.units[name] == "rad" else "length"
-    heading = table.headings.get(name, f"{name}_{suffix_of(table.units[name])}")
-    unit: Unit = suffixes(dimension)[heading.removeprefix(f"{name}_")]
+    unit: Unit = suffixes(dimension)[_headings(table, [name])[0].removeprefix(f"{name}_")]
     return unit.inside(1.0)
 
 
@@ -283,16 +285,6 @@ def _known(name: str) -> bool:
     return name.startswith("sigma")
 
 
-def _swapped(table: Table, one: str, other: str) -> Table:
-    return _ordered(table, (one, other), (other, one))
-
-
 def _ordered(table: Table, names: Sequence[str], order: Sequence[str]) -> Table:
     """Return the table with the columns `order` as `names`."""
     return table.changed({name: table.columns[old] for name, old in zip(names, order, strict=True)})
-
-
-_HANDED = {words for words, _ in (*starmap(_swap, combinations(_AXES, 2)), *map(_sign, _AXES))}
-"""What turns a right-handed list into a left-handed one: where the frame of the list is unknown, all fit alike"""
-_TURNS = ("turned by", "x, y, z are in the order")
-"""How the words begin for what turns a list as a whole"""

@@ -11,7 +11,6 @@ from dataclasses import replace
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
-from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.evidence.measurement import Measurement
 from metrocli.diagnosis.evidence.parts import CORRELATED, READINGS
 from metrocli.diagnosis.evidence.prices import LEVEL
@@ -22,8 +21,13 @@ from metrocli.diagnosis.linear.distributions import noncentrality, single_level
 from metrocli.diagnosis.linear.projection import Linearised
 from metrocli.diagnosis.linear.quadratics import ranks_of, roots
 from metrocli.diagnosis.linear.scans import thinned
-from metrocli.diagnosis.linear.signatures import nonlinearity, signature
-from metrocli.diagnosis.power.average_power import ScatterCandidate, scatter_candidates, size_found
+from metrocli.diagnosis.linear.signatures import nonlinearity
+from metrocli.diagnosis.power.average_power import (
+    DetectableCandidate,
+    ScatterCandidate,
+    scatter_candidates,
+    size_found,
+)
 from metrocli.diagnosis.power.collinear import Pair, pairs_of
 from metrocli.effects.effect import Effect
 from metrocli.frozen import dataclass
@@ -42,70 +46,6 @@ p1 and p2, which take up its first order; the other effects of lens and board st
 _NAMED_ABSORBERS = 3
 _PART = 0.1
 """Fraction of the largest absorbed change below which an unknown is not named among those that absorb"""
-
-
-@dataclass(frozen=True)
-class DetectableCandidate:
-    """What the measurement can detect of one form of a cause at one place."""
-
-    alternative: Candidate
-    family: int
-    number: int
-    """Number of its alternative of median visibility, if it was scanned"""
-    visible: float
-    """Fraction of the signature that the unknowns do not absorb"""
-    detectable: float
-    """Size that is found in 80 of 100 cases, over all directions of its parameters and all values of its scan.
-
-    It is counted over all that is tried; inf if nothing is visible.
-    """
-    undetected: UndetectedBias
-    """Largest change of the delivered result by an effect that is not found with 95 % power"""
-    assumed: float
-    """Largest size that `undetected` counts with: the largest usual one, or that found with 95 % power if larger"""
-    absorbed_by: tuple[str, ...]
-    missed: bool = False
-    """Whether its scan is too coarse for the readings, so that a form between two of its values can be missed"""
-    upper: float = 0.0
-    """Upper bound (97.5 %) of its size beside all that was found"""
-    share: float = 1.0
-    """Share of what the unknowns leave of it that random parts and other effects leave, too"""
-    required: bool = False
-    """Whether its evidence would name it, which held-out readings did not confirm"""
-    by_law: bool = False
-    """Whether a law that was found stands for it"""
-    nonlinear: bool = False
-    """Whether its change is not linear up to the size that would be excluded, so that none is"""
-
-    @property
-    def absorbers(self) -> str:
-        """The unknowns that absorb it, in words."""
-        return ", ".join(self.absorbed_by) or "the unknowns"
-
-    @property
-    def testable(self) -> bool:
-        """Whether any part of it is visible."""
-        return bool(np.isfinite(self.detectable))
-
-    @property
-    def plausible(self) -> float:
-        """Largest usual size of the effect."""
-        return self.alternative.effect.plausible
-
-    @property
-    def unit(self) -> str:
-        """Of its size."""
-        return self.alternative.effect.parameters[0].unit
-
-    @property
-    def dimension(self) -> str:
-        """Of its size."""
-        return self.alternative.effect.parameters[0].dimension
-
-    @property
-    def name(self) -> str:
-        """Cause, form and place in words."""
-        return self.alternative.words
 
 
 @dataclass(frozen=True)
@@ -155,7 +95,7 @@ def design(state: State, noise: float = 1.0, by_law: Collection[tuple[str, tuple
     readings = tuple(_wrong_reading(state, e, noise) for e in job.effects if e.of_one_reading)
     pairs, scatters = tuple(pairs_of(state, candidates, noise)), scatter_candidates(state, noise)
     number = (part.key[0] for part in state.random if part.kind == CORRELATED)
-    structure = tuple(dict.fromkeys(state.measurement.knots[knot].functions.name for knot in number))
+    structure = tuple(dict.fromkeys(state.measurement.knots[knot].name for knot in number))
     return Detectability(candidates, tuple(state.measurement.not_tested), pairs, readings, scatters, structure)
 
 
@@ -163,12 +103,12 @@ def _wrong_reading(state: State, effect: Effect, noise: float) -> WrongReading:
     """Return the smallest detectable error of a reading, `sqrt(lambda / r) sigma` (Baarda 1968)."""
     m = state.measurement
     level, first = _level(m, READINGS), m.places[:, 0]
-    redundancy = 1 - state.absorbed(first)
+    redundancy = 1 - state.absorbed[first]
     checked = redundancy > LEAST_REDUNDANCY
     rows = m.places[checked]
     rows, rest = rows[rows >= 0], max(m.system.dof - 1, 1)
     # an error of a reading shows in its own residual by its redundancy only (Baarda)
-    unit = noise / np.sqrt(np.maximum(1 - state.absorbed(rows), 1e-12))
+    unit = noise / np.sqrt(np.maximum(1 - state.absorbed[rows], 1e-12))
     least = np.sqrt(noncentrality(level, 1, rest, _POWER)) * unit
     hidden = np.sqrt(noncentrality(level, 1, rest, POWER)) * unit
     # inf, not an empty list: the median of none is nan
@@ -213,10 +153,10 @@ def _candidate(state: State, family: int, chosen: Sequence[int], noise: float) -
     reach = np.array([(power[q], farthest) for q in ranks.tolist()])
     some = thinned(np.arange(float(len(chosen))), forms_for(m.system, own.columns.parameters)).astype(int)
     hides = undetected_bias(m.job, m.system, own, np.array(chosen)[some].tolist(), gram, reach[some])
-    absorbers = () if rank else _absorbers(m.system, _full(m.job, m.system, alternative))
+    absorbers = () if rank else _absorbers(m.system, alternative.signature(m.system))
     missed = own.has_gaps(m.system, chosen)
     upper = _upper(state, family, at)
-    required = bool((state.nets_of_family(family)[list(chosen)] > 0).any())
+    required = bool((state.nets(family)[list(chosen)] > 0).any())
     return DetectableCandidate(
         alternative, family, at, visible, size, hides, assumed, absorbers, missed, upper, share, required
     )
@@ -230,7 +170,7 @@ def _is_nonlinear(state: State, candidate: DetectableCandidate) -> bool:
     own, m, size = candidate.alternative, state.measurement, max(candidate.detectable, candidate.upper)
     if own.effect.link is not None or own.instance or not size <= candidate.plausible:
         return False
-    return nonlinearity(m.job.model, m.system, own.effect, dict(own.scanned), size) > BENT
+    return nonlinearity(m.system, own.effect, dict(own.scanned), size) > BENT
 
 
 def _upper(state: State, family: int, number: int) -> float:
@@ -250,10 +190,6 @@ def _upper(state: State, family: int, number: int) -> float:
     theta = inverse @ right[seen]
     spread = np.sqrt(state.variance * max(float(np.mean(np.diag(inverse))), 0.0))
     return float(np.linalg.norm(theta) + _QUANTILE * spread)
-
-
-def _full(job: AdjustedJob, system: Linearised, alternative: Candidate) -> Array:
-    return signature(job.model, system, alternative.effect, alternative.instance, dict(alternative.scanned))
 
 
 def _size_found(state: State, family: int, chosen: Sequence[int], ranks: Array, median: Candidate) -> float:

@@ -21,7 +21,6 @@ from metrocli.diagnosis.evidence.identified import IdentifiedEffect, all_identif
 from metrocli.diagnosis.evidence.measured_job import measurement_of
 from metrocli.diagnosis.evidence.parts import SCATTER, Fixed, Random
 from metrocli.diagnosis.evidence.prices import LEVEL
-from metrocli.diagnosis.evidence.scored import remade
 from metrocli.diagnosis.evidence.search import pruned
 from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.explanations import correlated_errors, noise_instead, random_effects, smooth, with_confirmed
@@ -89,12 +88,12 @@ def diagnose(
     parts: list[Fixed | Random] = [*state.named, *(part for part in state.random if part.kind == SCATTER)]
     whole = gain_of_parts(state, parts) if scattered else None
     rivals = [(name.alternative, rival.alternative) for name in names for rival in name.rivals[:2]]
-    noise = noise_of(state)
+    m, noise = state.measurement, noise_of(state)
     progress.doing("computing what the measurement could not detect")
     return Diagnosis(
         job=first.measurement.job,
         noise=noise,
-        variance_groups=_variance_groups(state),
+        variance_groups=tuple(VarianceGroup(*m.units[number][:2], ratio) for number, ratio in m.noise.items()),
         outliers=wrong_readings(state),
         findings=tuple(_findings(state, zip(names, gained, shifts, strict=False), noise.ratio)),
         # the last gain is that of all names together
@@ -151,24 +150,17 @@ def _in_white_noise(state: State) -> State:
     if len(state.random) == len(shapes) and not state.measurement.noise:
         return state
     m = state.measurement.unweighted or state.measurement
-    kept = [remade(m, state.random[j]) for j in shapes]
+    kept = [m.random(state.random[j].kind, state.random[j].key) for j in shapes]
     return pruned(state.at(m, random=False).plus(random=kept, logs=[float(state.logs[j]) for j in shapes]))
 
 
 def strongest(state: State) -> float:
     """Return the level of the strongest candidate beside a state, counted over all."""
     # a net of 0 is just at the level, and one of -_LEVEL at the level 1: none counts as less
-    nets = [-_LEVEL]
-    for number in range(len(state.measurement.families)):
-        nets.append(float(np.max(state.nets_of_family(number), initial=-np.inf)))
     gain, price, _ = state.gains_of_readings()
-    nets.append(float(np.max(np.where(gain > 0, gain - price, -np.inf), initial=-np.inf)))
-    return float(np.exp(-max(max(nets) + _LEVEL, 0.0)))
-
-
-def _variance_groups(state: State) -> tuple[VarianceGroup, ...]:
-    m = state.measurement
-    return tuple(VarianceGroup(*m.units[number][:2], ratio) for number, ratio in m.noise.items())
+    of_families = map(state.nets, range(len(state.measurement.families)))
+    nets = np.concatenate([[-_LEVEL], (gain - price)[gain > 0], *of_families])
+    return float(np.exp(-max(float(nets.max()) + _LEVEL, 0.0)))
 
 
 def _findings(

@@ -5,8 +5,6 @@ Method: docs/algorithms/evidence.md.
 
 from __future__ import annotations
 
-from itertools import pairwise
-
 import numpy as np
 
 from metrocli.adjust.model.observations import Mask
@@ -46,7 +44,7 @@ def random_effects(state: State) -> tuple[RandomEffect, ...]:
 def _random_effect(state: State, number: int) -> RandomEffect:
     m, part = state.measurement, state.random[number]
     families = m.scatters[part.key[0]]
-    effect, less = families[0].alternatives[0].effect, state.minus([part])
+    effect, less = families[0].effect, state.minus([part])
     # `logs` are ratios to the variance of the noise, whose estimate is squares / dof
     std = float(np.sqrt(np.exp(state.logs[number]) * state.fit.squares / state.fit.dof)) * part.unit
     wider = with_random_effect(m.job, effect, std, readings_kept(m, state.readings))
@@ -114,7 +112,7 @@ def _correlated(state: State, number: int) -> CorrelatedError:
     less = state.minus([component])
     gain = state.score + component.price - less.score
     without = (move for move in effects(less) if move.net > 0)
-    functions = m.knots[component.key[0]].functions
+    functions = m.knots[component.key[0]]
     own = component.columns.any(axis=1)
     unit, of_unit = m.system.showing(np.where(own, less.residual - state.residual, 0.0))
     rows = of_unit & own
@@ -156,11 +154,9 @@ def _visible(state: State, part: Random) -> float:
     m = state.measurement
     basis = m.system.basis.of_members
     whole = float((part.columns**2).sum())
-    order, begins = m.by_member
     if part.local:
         inside = 0.0
-        for a, b in pairwise(begins):
-            rows = order[a:b]
+        for rows in m.rows_of_members:
             both = np.concatenate([basis.local[rows], m.system.basis.shared[rows]], axis=1)
             inside += float(((both.T @ part.columns[rows]) ** 2).sum())
     else:
@@ -196,7 +192,7 @@ def not_confirmed(state: State) -> list[tuple[Random, Unconfirmed]]:
 
 def _effect_of(state: State, part: Random) -> Effect:
     """Return the effect that acts at all its places by a random part of a state."""
-    return state.measurement.scatters[part.key[0]][0].alternatives[0].effect
+    return state.measurement.scatters[part.key[0]][0].effect
 
 
 def smooth(state: State) -> list[int]:

@@ -17,7 +17,6 @@ from metrocli.diagnosis.evidence.identified import IdentifiedEffect
 from metrocli.diagnosis.evidence.measurement import Measurement
 from metrocli.diagnosis.evidence.parts import Fixed
 from metrocli.diagnosis.linear.projection import Linearised
-from metrocli.diagnosis.linear.signatures import signature
 from metrocli.effects.effect import Effect, Parameter
 from metrocli.effects.extension import with_effect, with_effect_everywhere
 from metrocli.effects.model import Added, Model
@@ -33,7 +32,7 @@ def extended_model(job: AdjustedJob, names: Sequence[IdentifiedEffect]) -> Model
     for name in names:
         alternative = name.alternative
         model = with_effect(model, alternative.effect, [alternative.instance], name.known)
-        block, row = _own_row(model, name)
+        block, row = _row(model, model.added[-1], name)
         step = np.zeros(block.values.shape)
         for parameter, value in zip(alternative.parameters, name.values, strict=True):
             step[row, block.column(parameter)] = value
@@ -41,12 +40,8 @@ def extended_model(job: AdjustedJob, names: Sequence[IdentifiedEffect]) -> Model
     return model
 
 
-def _own_row(model: Model, name: IdentifiedEffect) -> tuple[Block, int]:
-    """Return the block of the effect that was added last, and the row of the member on which it acts."""
-    return _row(model, model.added[-1], name)
-
-
 def _row(model: Model, added: Added, name: IdentifiedEffect) -> tuple[Block, int]:
+    """Return the block of an effect that was added, and the row of the member on which it acts."""
     block = model.blocks[added.block]
     place = name.alternative.instance
     # an effect with a link, or without a place, has its member last: that of readings elsewhere comes first
@@ -69,7 +64,8 @@ class EffectSize:
 def sizes(job: AdjustedJob, name: IdentifiedEffect) -> tuple[EffectSize, ...]:
     """Return the estimated parameters of a named effect, with the standard uncertainties of its covariance."""
     alternative = name.alternative
-    block, row = _own_row(extended_model(job, [name]), name)
+    model = extended_model(job, [name])
+    block, row = _row(model, model.added[-1], name)
     before = job.model.blocks.get(block.name)
     by_step = block.space.by_step(block.values)[row]
     std = np.sqrt(np.maximum(np.diag(name.covariance), 0.0))
@@ -123,9 +119,7 @@ def result_change(job: AdjustedJob, other: AdjustedJob) -> float:
 
 def linear_change(job: AdjustedJob, system: Linearised, name: IdentifiedEffect) -> float:
     """Return the largest change of the delivered result by an effect, to first order."""
-    alternative = name.alternative
-    full = signature(job.model, system, alternative.effect, alternative.instance, dict(alternative.scanned))
-    change = system.absorbed((full @ name.values)[:, None])
+    change = system.absorbed((name.alternative.signature(system) @ name.values)[:, None])
     shift = job.delivered.of(lambda block: system.shift(change, block, job.delivered.columns))
     return float(np.sqrt((shift**2).sum(axis=(1, 2)).max(initial=0.0)))
 
@@ -197,7 +191,7 @@ def readings_kept(m: Measurement, wrong: Iterable[Fixed]) -> dict[str, Mask]:
     """Return for each group a mask of the readings of which no component is among the wrong ones."""
     kept, out = dict[str, Mask](), np.zeros(m.system.rows, dtype=bool)
     for part in wrong:
-        out[m.places[part.number][m.places[part.number] >= 0]] = True
+        out[m.rows_of(part.number)] = True
     for group in m.job.model.readings:
         by_reading = out[m.system.stretch(group)].reshape(-1, len(group.observations.readings))
         kept[group.name] = np.asarray(~by_reading.any(axis=1))

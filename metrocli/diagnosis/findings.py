@@ -15,6 +15,7 @@ from metrocli.diagnosis.extended_fit import EffectSize
 from metrocli.diagnosis.laws.law import Law
 from metrocli.diagnosis.linear.projection import READING
 from metrocli.diagnosis.noise import NoiseRatio, VarianceGroup
+from metrocli.diagnosis.status import Conclusions
 from metrocli.diagnosis.trials import Mistaken
 from metrocli.diagnosis.wrong_readings import Outlier
 from metrocli.effects.effect import Effect
@@ -184,6 +185,12 @@ class Diagnosis:
     def identified(self) -> tuple[Finding | RandomEffect, ...]:
         """The effects, at one place or at all of theirs, the one with the largest held-out log score first."""
         return tuple(sorted([*self.findings, *self.scatters], key=lambda effect: -effect.gain.log_score))
+
+    @property
+    def conclusions(self) -> Conclusions:
+        """What it concludes on each candidate with."""
+        named, scattered = (f.effect for f in self.findings), (scatter.effect.name for scatter in self.scatters)
+        return Conclusions(tuple(named), tuple(scattered), not self.ended_early)
 
     @property
     def law(self) -> Law | None:

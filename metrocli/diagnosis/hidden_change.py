@@ -221,18 +221,13 @@ def _eigenvalues(squares: Array, root: Array) -> Array:
 
 
 def _at_member(job: AdjustedJob, change: float, member: int) -> UndetectedBias:
-    """Return a change with the name of its member."""
+    """Return a change with the name of its member, and of its block where there are several: axis Y -260."""
     if change == 0:
         return UndetectedBias(0.0)
-    return UndetectedBias(change, _name_of(job, member))
-
-
-def _name_of(job: AdjustedJob, number: int) -> str:
-    """Return the name of a delivered member, with that of its block where there are several: axis Y -260."""
     blocks = job.delivered.blocks
     for block in blocks:
         members = job.model.blocks[block].members
-        if number < len(members):
-            return f"{block} {members[number]}" if len(blocks) > 1 else members[number]
-        number -= len(members)
-    raise IndexError(number)
+        if member < len(members):
+            return UndetectedBias(change, f"{block} {members[member]}" if len(blocks) > 1 else members[member])
+        member -= len(members)
+    raise IndexError(member)

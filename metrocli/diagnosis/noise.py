@@ -16,6 +16,7 @@ from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.evidence.prices import PRIOR
 from metrocli.diagnosis.linear.distributions import chi_interval
 from metrocli.diagnosis.linear.projection import FEWEST, READING, Linearised
+from metrocli.effects.variance_groups import readings_at
 from metrocli.frozen import dataclass
 
 if TYPE_CHECKING:
@@ -74,8 +75,10 @@ def variance_groups(job: AdjustedJob, system: Linearised) -> Iterator[tuple[str,
             rows = system.rows_at({key: name})
             if rows.any():
                 yield key, name, rows
-    for name, rows in system.of_several_groups():
-        yield READING, name, rows
+    # a single group has no other to be compared with
+    for group in job.model.readings if job.model.readings[1:] else ():
+        if group.observations.count >= FEWEST:
+            yield READING, group.name, system.rows_of(group)
     for group in job.model.groups:
         if group.name not in job.model.measured and group.observations.readings.size >= FEWEST:
             yield DECLARED_SIGMA, group.name, system.rows_of(group)
@@ -83,23 +86,10 @@ def variance_groups(job: AdjustedJob, system: Linearised) -> Iterator[tuple[str,
 
 def weights_of(job: AdjustedJob, units: Sequence[VarianceGroup]) -> Mapping[str, Array]:
     """Return factors on whitened readings of each group that bring the noise of some units to that of the others."""
-    weights: Mapping[str, Array] = {}
+    weights = {group.name: np.ones(group.observations.count) for group in job.model.groups}
     for unit in units:
-        weights = _reweighted(job, weights, unit)
+        given = unit.key == DECLARED_SIGMA
+        for group in job.model.groups if given else job.model.readings:
+            at = readings_at(job.model, group, READING if given else unit.key, unit.name)
+            weights[group.name][at] /= unit.ratio
     return weights
-
-
-def _reweighted(job: AdjustedJob, weights: Mapping[str, Array], unit: VarianceGroup) -> dict[str, Array]:
-    if unit.key in (DECLARED_SIGMA, READING):
-        count = next(group.observations.count for group in job.model.groups if group.name == unit.name)
-        return {**weights, unit.name: weights.get(unit.name, np.ones(count)) / unit.ratio}
-    place = job.model.places[unit.key]
-    number = place.names.index(unit.name)
-    factors = dict(weights)
-    for group in job.model.readings:
-        factor = weights.get(group.name, np.ones(group.observations.count)).copy()
-        index = group.observations.index.get(place.index)
-        if index is not None:
-            factor[index == number] /= unit.ratio
-        factors[group.name] = factor
-    return factors

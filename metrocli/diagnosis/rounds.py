@@ -100,14 +100,10 @@ def _is_smoothed(state: State) -> bool:
     The job's own terms have bent to take the place of one whose signature about that solution is another.
     """
     m = state.measurement
-    has_terms = any(family.alternatives[0].effect.link is None for family in m.families if family.alternatives)
+    has_terms = any(family.effect.link is None for family in m.families if family.alternatives)
     if not has_terms or m.dof < _MANY:
         return False
-    smooth = [
-        part
-        for part in state.random
-        if part.kind != SCATTER or m.scatters[part.key[0]][0].alternatives[0].effect.is_smooth
-    ]
+    smooth = [part for part in state.random if part.kind != SCATTER or m.scatters[part.key[0]][0].effect.is_smooth]
     return bool(smooth) and state.minus(smooth).variance > _DOMINANT * state.variance
 
 
@@ -139,7 +135,7 @@ def _candidates(m: Measurement) -> list[object]:
     return [
         [family.form for family in m.families],
         scatters,
-        [knots.functions.name for knots in m.knots],
+        [knots.name for knots in m.knots],
         [unit[:2] for unit in m.units],
     ]
 

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from enum import StrEnum
 from typing import Any, Literal
 
 from metrocli import units
 from metrocli.diagnosis.adjusted_job import AdjustedJob
-from metrocli.diagnosis.detectability import Detectability, DetectableCandidate, WrongReading
+from metrocli.diagnosis.detectability import Detectability, WrongReading
 from metrocli.diagnosis.evidence.identified import IdentifiedEffect
 from metrocli.diagnosis.evidence.prices import LITTLE
 from metrocli.diagnosis.hidden_change import POWER, UndetectedBias
 from metrocli.diagnosis.linear.candidates import Candidate
-from metrocli.diagnosis.power.average_power import ScatterCandidate
+from metrocli.diagnosis.power.average_power import DetectableCandidate, ScatterCandidate
 from metrocli.effects.effect import Effect
+from metrocli.frozen import dataclass
 
 
 class Status(StrEnum):
@@ -42,20 +43,40 @@ _SMALLEST = 0.01
 """Smallest number to which a usual size with a unit of its own is converted"""
 
 
-def status(candidate: DetectableCandidate, named: Iterable[IdentifiedEffect], decided: bool = True) -> str:
+@dataclass(frozen=True)
+class Conclusions:
+    """What a diagnosis found, by which it concludes on each candidate."""
+
+    named: tuple[IdentifiedEffect, ...] = ()
+    scattered: tuple[str, ...] = ()
+    """Names of the effects that act at all their places"""
+    decided: bool = True
+    """Whether the search came to its end"""
+
+
+NOTHING = Conclusions()
+
+
+def status(candidate: DetectableCandidate | ScatterCandidate, found: Conclusions = NOTHING) -> str:
     """Return the status of a candidate; one in the confidence set of an identified effect counts as named.
 
-    So does another form of a named cause only if it explains the readings as well. `decided` is whether the search came
-    to its end.
+    So does another form of a named cause only if it explains the readings as well.
     """
-    if any(_claims(name, candidate.alternative) for name in named):
+    if isinstance(candidate, ScatterCandidate):
+        named, is_open = candidate.effect.name in found.scattered, candidate.required
+        excluded = candidate.detectable <= candidate.effect.plausible
+    else:
+        named = any(_claims(name, candidate.alternative) for name in found.named)
+        is_open = candidate.required or candidate.by_law
+        unseen = candidate.missed or candidate.nonlinear or is_swallowed(candidate)
+        excluded = excluded_above(candidate) <= candidate.plausible and not unseen
+    if named:
         return Status.NAMED
     if not candidate.testable:
         return Status.NOT_TESTABLE
-    if not decided or candidate.required or candidate.by_law:
+    if is_open or not found.decided:
         return Status.NOT_DECIDED
-    unseen = candidate.missed or candidate.nonlinear or is_swallowed(candidate)
-    return Status.EXCLUDED if excluded_above(candidate) <= candidate.plausible and not unseen else Status.CANNOT_SEE
+    return Status.EXCLUDED if excluded else Status.CANNOT_SEE
 
 
 def excluded_above(candidate: DetectableCandidate) -> float:
@@ -71,20 +92,6 @@ def is_swallowed(candidate: DetectableCandidate) -> bool:
 def spots(name: IdentifiedEffect) -> set[tuple[str, tuple[str, ...]]]:
     """Return cause and place of a named effect and of all its rivals."""
     return {name.alternative.spot, *(rival.alternative.spot for rival in name.rivals)}
-
-
-def status_of_scatter(candidate: ScatterCandidate, named: Sequence[str], decided: bool = True) -> str:
-    """Return the status of an effect that is sought at all its places at once, by the names that were found so.
-
-    `decided` is whether the search came to its end.
-    """
-    if candidate.effect.name in named:
-        return Status.NAMED
-    if not candidate.testable:
-        return Status.NOT_TESTABLE
-    if not decided or candidate.required:
-        return Status.NOT_DECIDED
-    return Status.EXCLUDED if candidate.detectable <= candidate.effect.plausible else Status.CANNOT_SEE
 
 
 def reason_of_scatter(candidate: ScatterCandidate, word: str) -> str:
@@ -177,24 +184,15 @@ def delivered(job: AdjustedJob, value: float) -> dict[str, Any]:
     return {"what": job.delivered.what, "value": unit.outside(value), "unit": unit.symbol}
 
 
-def candidates(
-    job: AdjustedJob,
-    design: Detectability,
-    named: Iterable[IdentifiedEffect],
-    scattered: Sequence[str] = (),
-    decided: bool = True,
-) -> list[dict[str, Any]]:
-    """Return all candidates as plain data, tested or not; `scattered` are the effects named at all places."""
-    names = list(named)
-    words = ((candidate, status(candidate, names, decided)) for candidate in design.candidates)
+def candidates(job: AdjustedJob, design: Detectability, found: Conclusions = NOTHING) -> list[dict[str, Any]]:
+    """Return all candidates as plain data, tested or not."""
+    words = ((candidate, status(candidate, found)) for candidate in design.candidates)
     tested = [_candidate(job, candidate, word, design.structure) for candidate, word in words]
-    readings = [_wrong_reading(job, reading, decided) for reading in design.readings]
+    readings = [_wrong_reading(job, reading, found.decided) for reading in design.readings]
     missing = [
         _open(untested.effect, untested.where, Status.NOT_TESTED, untested.reason) for untested in design.not_tested
     ]
-    throughout = [
-        _throughout(job, scatter, status_of_scatter(scatter, scattered, decided)) for scatter in design.scatters
-    ]
+    throughout = [_throughout(job, scatter, status(scatter, found)) for scatter in design.scatters]
     return tested + throughout + readings + missing
 
 

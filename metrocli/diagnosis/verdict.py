@@ -14,7 +14,6 @@ from metrocli.diagnosis.adjusted_job import REPORTED, AdjustedJob
 from metrocli.diagnosis.correlated_error import CorrelatedError
 from metrocli.diagnosis.detectability import Detectability
 from metrocli.diagnosis.evidence.gain import Gain
-from metrocli.diagnosis.evidence.identified import Rival
 from metrocli.diagnosis.findings import Diagnosis, Finding, RandomEffect, RemainingStructure
 from metrocli.diagnosis.laws.definition import written
 from metrocli.diagnosis.laws.law import Law
@@ -54,13 +53,7 @@ def as_data(diagnosis: Diagnosis) -> dict[str, Any]:
         "unexplained": None if left is None else _left(diagnosis.job, left),
         "processes": [_process(diagnosis.job, error) for error in diagnosis.correlated_errors],
         "laws": [_law(diagnosis.job, law) for law in diagnosis.laws],
-        "candidates": candidates(
-            diagnosis.job,
-            diagnosis.design,
-            [f.effect for f in diagnosis.findings],
-            [scatter.effect.name for scatter in diagnosis.scatters],
-            not diagnosis.ended_early,
-        ),
+        "candidates": candidates(diagnosis.job, diagnosis.design, diagnosis.conclusions),
         "alike": alike(diagnosis.design),
         "separate_by": list(diagnosis.separate_by),
     }
@@ -76,7 +69,7 @@ def _process(job: AdjustedJob, process: CorrelatedError) -> dict[str, Any]:
         "std": {"value": value, "std": std, "unit": symbol},
         "visible": process.visible,
         "p_value": float(np.exp(process.log_level)),
-        "instead_of": [{"name": candidate.effect.name, "where": _where(candidate)} for candidate in process.instead_of],
+        "instead_of": [*map(_named, process.instead_of)],
         "in_uncertainties": job.noise_model == STRUCTURED,
     }
 
@@ -96,10 +89,7 @@ def _law(job: AdjustedJob, law: Law) -> dict[str, Any]:
         "p_value": law.p_value,
         "gain": _gain(law.gain, job),
         "part_of_structure": law.part_of_structure,
-        "near": [
-            {"name": candidate.effect.name, "where": _where(candidate), "correlation": cosine}
-            for candidate, cosine in law.near
-        ],
+        "near": [_named(candidate) | {"correlation": cosine} for candidate, cosine in law.near],
         "as_likely": [
             {
                 "acts_on": term.spot.acting.name,
@@ -139,7 +129,7 @@ def _short(values: Array) -> list[float]:
 
 def design_data(job: AdjustedJob, design: Detectability) -> dict[str, Any]:
     """Return what a measurement can detect, as plain data."""
-    return {"part": _part(job), "candidates": candidates(job, design, []), "alike": alike(design)}
+    return {"part": _part(job), "candidates": candidates(job, design), "alike": alike(design)}
 
 
 def _part(job: AdjustedJob) -> dict[str, Any] | None:
@@ -155,13 +145,14 @@ def _correction(mistaken: Mistaken) -> dict[str, Any]:
 def _effect(job: AdjustedJob, finding: Finding) -> dict[str, Any]:
     name, gain = finding.effect, finding.gain
     units_of = {parameter.name: parameter.unit for parameter in name.alternative.effect.scanned}
-    return {
-        "name": name.alternative.effect.name,
-        "where": _where(name.alternative),
+    return _named(name.alternative) | {
         "parameters": _parameters(finding),
         "p_value": float(np.exp(name.log_level)),
         "alternatives": [
-            *map(_rival, name.rivals),
+            *(
+                _named(rival.alternative) | {"correlation": rival.correlation, "odds": rival.odds}
+                for rival in name.rivals
+            ),
             *(asdict(noise) | {"correlation": None} for noise in finding.noise),
         ],
         "by": name.alternative.effect.by or None,
@@ -175,11 +166,10 @@ def _effect(job: AdjustedJob, finding: Finding) -> dict[str, Any]:
 
 
 def _outlier(reading: Outlier) -> dict[str, Any]:
-    effects = [{"name": other.effect.name, "where": _where(other)} for other in reading.effects]
     return {
         "observation": dict(reading.keys),
         "or": [dict(other) for other in reading.others],
-        "or_effects": effects,
+        "or_effects": [*map(_named, reading.effects)],
         "w": reading.test,
     }
 
@@ -198,8 +188,8 @@ def _scatter(job: AdjustedJob, scatter: RandomEffect) -> dict[str, Any]:
     }
 
 
-def _where(alternative: Candidate) -> dict[str, str]:
-    return alternative.where | dict(alternative.named)
+def _named(alternative: Candidate) -> dict[str, Any]:
+    return {"name": alternative.effect.name, "where": alternative.where | dict(alternative.named)}
 
 
 def _gain(gain: Gain, job: AdjustedJob) -> dict[str, Any]:
@@ -233,15 +223,6 @@ def _parameters(finding: Finding) -> dict[str, Any]:
         size.parameter.name: {"value": size.value, "std": size.std, "unit": size.parameter.unit}
         | ({} if size.seen else {"unseen": True})
         for size in finding.sizes
-    }
-
-
-def _rival(rival: Rival) -> dict[str, Any]:
-    return {
-        "name": rival.alternative.effect.name,
-        "where": _where(rival.alternative),
-        "correlation": rival.correlation,
-        "odds": rival.odds,
     }
 
 

@@ -62,7 +62,7 @@ def with_variance_groups(model: Model, requests: Iterable[RequestedEffect]) -> M
         # not those that it has: a model may be extended anew about another solution
         ratios, observations = np.ones(group.observations.count), group.observations
         for request, by, only in stated:
-            ratios[_at(model, group, by, only)] *= request.variance_ratio
+            ratios[readings_at(model, group, by, only)] *= request.variance_ratio
         model = model.with_group(replace(group, observations=replace(observations, ratios=ratios)))
     return model
 
@@ -76,7 +76,7 @@ def still_read(model: Model, requests: Iterable[RequestedEffect]) -> tuple[Reque
     )
 
 
-def _at(model: Model, group: Group, by: str, only: str) -> Mask:
+def readings_at(model: Model, group: Group, by: str, only: str) -> Mask:
     """Return which readings of a group are those of a place, (n,)."""
     if by == READING:
         return np.full(group.observations.count, group.name == only)
@@ -104,7 +104,7 @@ def _misplaced(model: Model, stated: Sequence[tuple[RequestedEffect, str, str]],
     at = request.node.get("only") or request.node
     if only not in names[by]:
         return [at.fault(f"{_KEY}: there is no {by} '{only}'", suggestion(only, names[by]))]
-    if not any(_at(model, group, by, only).any() for group in model.readings):
+    if not any(readings_at(model, group, by, only).any() for group in model.readings):
         return [at.fault(f"{_KEY}: {by} '{only}' has no readings", "leave it out")]
     if any((by, only) == (other, name) for _, other, name in stated[:number]):
         return [request.node.fault(f"{_KEY}: {by} {only} is listed twice", "leave one of them out")]

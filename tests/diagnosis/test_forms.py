@@ -10,7 +10,7 @@ from benchmarks.hidden import lengths
 from metrocli.cli.diagnosis_report.candidates import candidate_lines
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.diagnose import diagnose, what_can_be_seen
-from metrocli.diagnosis.status import candidates
+from metrocli.diagnosis.status import NOTHING, candidates
 
 
 def steady(rate: float = 0.0) -> AdjustedJob:
@@ -21,7 +21,7 @@ def steady(rate: float = 0.0) -> AdjustedJob:
 
 
 def of_air(job: AdjustedJob) -> dict[str, dict[str, object]]:
-    rows = candidates(job, what_can_be_seen(job), [])
+    rows = candidates(job, what_can_be_seen(job))
     return {str(one["by"]): one for one in rows if one["name"] == "refraction-drift"}
 
 
@@ -30,7 +30,9 @@ def test_each_form_has_its_own_status() -> None:
     found = of_air(job)
     assert {by: one["status"] for by, one in found.items()} == {"t": "excluded", "T": "cannot-see"}
     assert found["t"]["above"]["unit"] != found["T"]["above"]["unit"]  # type: ignore[index]
-    lines = [line for line in candidate_lines(job, what_can_be_seen(job), ()) if line.startswith("refraction-drift")]
+    lines = [
+        line for line in candidate_lines(job, what_can_be_seen(job), NOTHING) if line.startswith("refraction-drift")
+    ]
     told = {tuple(line.split()[1:4]) for line in lines}
     assert told == {("by", "time", "excluded"), ("by", "temperature", "cannot-see")}
 
@@ -43,6 +45,6 @@ def test_forms_of_one_cause_are_no_pair_of_names() -> None:
 def test_a_form_that_does_not_explain_the_readings_is_not_named() -> None:
     diagnosis = diagnose(steady(2e-9))
     assert [one.effect.alternative.effect.by for one in diagnosis.findings] == ["t"]
-    rows = candidates(diagnosis.job, diagnosis.design, [one.effect for one in diagnosis.findings])
+    rows = candidates(diagnosis.job, diagnosis.design, diagnosis.conclusions)
     found = {one["by"]: one["status"] for one in rows if one["name"] == "refraction-drift"}
     assert found == {"t": "named", "T": "cannot-see"}

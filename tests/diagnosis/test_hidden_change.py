@@ -10,13 +10,14 @@ import pytest
 from benchmarks.hidden import launch, lengths, machine
 from benchmarks.hidden.lengths import Measurement, signature
 from metrocli.diagnosis.adjusted_job import AdjustedJob
-from metrocli.diagnosis.detectability import DetectableCandidate, design
+from metrocli.diagnosis.detectability import design
 from metrocli.diagnosis.diagnose import diagnose, what_can_be_seen
 from metrocli.diagnosis.evidence.measured_job import measurement_of
 from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.evidence.weights import with_noise
 from metrocli.diagnosis.findings import Verdict
 from metrocli.diagnosis.noise import VarianceGroup, weights_of
+from metrocli.diagnosis.power.average_power import DetectableCandidate
 from metrocli.instruments import tracer
 
 TRIALS, MISSED = 20, 3

@@ -159,7 +159,7 @@ def test_columns_that_give_way_to_others_are_made_again(monkeypatch: pytest.Monk
 
 def test_errors_for_whose_columns_there_is_no_room_are_not_sought(monkeypatch: pytest.MonkeyPatch) -> None:
     m = measurement_of(job(60))
-    number = next(i for i, knots in enumerate(m.knots) if knots.functions.count == 6)
+    number = next(i for i, knots in enumerate(m.knots) if knots.count == 6)
     t = m.correlated(number, 1 / 4, -1).columns
     rng = np.random.default_rng(3)
     m = replace(m, system=replace(m.system, residual=m.system.seen(9 * t @ rng.normal(size=t.shape[1]))), cache={})
@@ -167,6 +167,6 @@ def test_errors_for_whose_columns_there_is_no_room_are_not_sought(monkeypatch: p
     # room for an error of one tracer, not for one of each
     monkeypatch.setattr(variances, "MOST_OF_STATE", t.size // 6)
     errors = variances.correlated_errors(State.of(m), set())
-    assert errors and all(error.key[2] >= 0 for error in errors if m.knots[error.key[0]].functions.count > 1)
+    assert errors and all(error.key[2] >= 0 for error in errors if m.knots[error.key[0]].count > 1)
     monkeypatch.setattr(variances, "MOST_OF_STATE", 0)
     assert not variances.correlated_errors(State.of(m), set())

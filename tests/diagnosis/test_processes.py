@@ -78,7 +78,7 @@ def test_what_the_unknowns_absorb_of_its_size_is_stated() -> None:
         (basis,) = (one for one in process_bases(found.job, system) if (one.name, one.by) == (own.covariate, own.by))
         apart = np.sqrt(3) * basis.distances / own.length
         root = np.linalg.cholesky((1 + apart) * np.exp(-apart) + 1e-9 * np.eye(len(apart)))
-        drawn = np.kron(np.eye(len(basis.units)), root) @ np.random.default_rng(seed).normal(
+        drawn = np.kron(np.eye(basis.components * basis.count), root) @ np.random.default_rng(seed).normal(
             size=(basis.columns.shape[1], 300)
         )
         error = basis.columns @ drawn
@@ -292,7 +292,7 @@ def test_the_size_of_a_process_is_that_of_the_readings_that_have_it(station: int
     """Errors over the azimuth of all stations, or of one of three: distances and angles, of which angles show more."""
     m = measurement_of(adjusted_job_of(load(network(np.random.default_rng(61), 3, 40, faces=2).write(tmp_path))))
     part, shares = m.correlated(0, m.lengths(0)[-1], station), []
-    assert m.knots[0].functions.by == "station" and part.columns.any(axis=1).mean() > (0.9 if station < 0 else 0.3)
+    assert m.knots[0].by == "station" and part.columns.any(axis=1).mean() > (0.9 if station < 0 else 0.3)
     for seed in range(40):
         rng = np.random.default_rng(seed)
         off = 3 * part.columns @ rng.normal(size=part.columns.shape[1])

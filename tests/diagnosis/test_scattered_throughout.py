@@ -19,7 +19,7 @@ from metrocli.diagnosis.evidence.variances import scattered_effects
 from metrocli.diagnosis.findings import Diagnosis
 from metrocli.diagnosis.hidden_change import UndetectedBias
 from metrocli.diagnosis.power.average_power import ScatterCandidate
-from metrocli.diagnosis.status import candidates
+from metrocli.diagnosis.status import Conclusions, candidates
 from metrocli.diagnosis.verdict import as_data
 from metrocli.tasks.calibrate_machine.effects import OF_LENGTHS
 
@@ -116,6 +116,7 @@ def test_a_search_that_ended_early_excludes_no_scatter_and_no_wrong_reading() ->
     wrong = WrongReading(single, 0.01, (0.01, 0.02), UndetectedBias(0.0), 0)
     design = Detectability((), (), (), (wrong,), (sought,))
     for decided, word in ((True, "excluded"), (False, "not-decided")):
-        assert [entry["status"] for entry in candidates(job, design, [], (), decided)] == [word] * 2
-        for line in candidate_lines(job, design, [], (), decided)[1:]:
+        found = Conclusions(decided=decided)
+        assert [entry["status"] for entry in candidates(job, design, found)] == [word] * 2
+        for line in candidate_lines(job, design, found)[1:]:
             assert word in line and ("the search ended before this was decided" in line) is not decided

@@ -23,7 +23,6 @@ from metrocli.diagnosis.linear.counting import effective_number_of_tests
 from metrocli.diagnosis.linear.distributions import chi_interval, log_family, log_tail, noncentrality, single_level
 from metrocli.diagnosis.linear.families import families_of
 from metrocli.diagnosis.linear.quadratics import quadratic
-from metrocli.diagnosis.linear.signatures import signature
 from metrocli.diagnosis.power.average_power import size_found
 
 Array = np.typing.NDArray[np.float64]
@@ -187,10 +186,9 @@ def test_held_out_errors_are_of_angles_where_distances_are_read_too() -> None:
 
 
 def test_a_signature_is_the_difference_of_predictions() -> None:
-    model, system = adjusted().model, field().system
+    system = field().system
     for family in families_of(adjusted(), system)[0]:
-        alternative = family.alternatives[-1]
-        full = signature(model, system, alternative.effect, alternative.instance, dict(alternative.scanned))
+        full = family.alternatives[-1].signature(system)
         assert np.allclose(np.linalg.norm(full, axis=0), family.raw[-1])
         whole = family.columns.whole([len(family.alternatives) - 1], system.rows)[:, 0]
         assert np.allclose(system.seen(full), system.seen(whole), atol=1e-9 * family.raw[-1].max())

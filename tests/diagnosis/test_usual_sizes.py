@@ -8,7 +8,7 @@ import pytest
 from benchmarks.hidden import lengths
 from metrocli.cli.diagnosis_report.candidates import candidate_lines
 from metrocli.diagnosis.diagnose import what_can_be_seen
-from metrocli.diagnosis.status import Status, reason, status, usual_beside
+from metrocli.diagnosis.status import NOTHING, Status, reason, status, usual_beside
 from metrocli.tasks.calibrate_camera.effects import EFFECTS as OF_CAMERAS
 from metrocli.tasks.locate_launch_unit.effects import EFFECTS as OF_LAUNCH_UNITS
 
@@ -34,7 +34,7 @@ def test_usual_sizes_are_in_the_unit_of_the_size(name: str, size: float, said: s
 
 def test_the_table_compares_in_one_unit() -> None:
     job = lengths.measurement(np.random.default_rng(24), 16).adjusted()
-    lines = candidate_lines(job, what_can_be_seen(job), ())
+    lines = candidate_lines(job, what_can_be_seen(job), NOTHING)
     rows = [line for line in lines if line.startswith(("tracer-scale", "length-scale", "air-gradient"))]
     assert rows
     assert not [line for line in rows if "ppm" in line or "1/mm" in line]
@@ -43,8 +43,8 @@ def test_the_table_compares_in_one_unit() -> None:
 def test_beside_what_cannot_be_seen_stands_the_size_for_which_it_falsifies_the_result() -> None:
     job = lengths.measurement(np.random.default_rng(24), 16).adjusted()
     design = what_can_be_seen(job)
-    unseen = [one for one in design.candidates if status(one, ()) == Status.CANNOT_SEE]
+    unseen = [one for one in design.candidates if status(one) == Status.CANNOT_SEE]
     assert unseen and all(one.assumed >= one.plausible for one in unseen)
-    lines = [line for line in candidate_lines(job, design, ()) if "cannot-see" in line]
+    lines = [line for line in candidate_lines(job, design, NOTHING) if "cannot-see" in line]
     assert lines and all("off by this if its size is" in line for line in lines)
     assert all("what it hides is for" in reason(one, Status.CANNOT_SEE) for one in unseen)

@@ -9,11 +9,11 @@ from metrocli import units
 from metrocli.cli.columns import text_table
 from metrocli.diagnosis import status
 from metrocli.diagnosis.adjusted_job import AdjustedJob
-from metrocli.diagnosis.detectability import Detectability, DetectableCandidate, WrongReading
-from metrocli.diagnosis.evidence.identified import IdentifiedEffect
+from metrocli.diagnosis.detectability import Detectability, WrongReading
 from metrocli.diagnosis.findings import Diagnosis
 from metrocli.diagnosis.hidden_change import UndetectedBias
-from metrocli.diagnosis.power.average_power import ScatterCandidate
+from metrocli.diagnosis.power.average_power import DetectableCandidate, ScatterCandidate
+from metrocli.diagnosis.status import Conclusions
 from metrocli.effects.effect import Parameter
 from metrocli.words import listed
 
@@ -23,31 +23,23 @@ _HEAD = ("candidate", "where", "status", "usual sizes", "result off by up to", "
 _SEEN = {True: "seen", "part": "seen in part", False: "not seen", None: ""}
 
 
-def candidate_lines(
-    adjusted: AdjustedJob,
-    design: Detectability,
-    named: Sequence[IdentifiedEffect] | None,
-    scattered: Sequence[str] = (),
-    decided: bool = True,
-) -> list[str]:
+def candidate_lines(adjusted: AdjustedJob, design: Detectability, found: Conclusions | None) -> list[str]:
     """Return the table of candidates, with one line for all places of a cause that have the same status.
 
-    Where a cause is not tested, these have the same reason, too.
-
-    Without `named` nothing was looked for yet: what residuals would exclude is `detectable`. `scattered` are the
-    effects that are named at all places; `decided` is whether the search came to its end.
+    Where a cause is not tested, these have the same reason, too. With None nothing was looked for yet: what residuals
+    would exclude is `detectable`.
     """
+    open_yet, found = found is None, found or status.NOTHING
     rows: dict[tuple[str, str, str], list[DetectableCandidate]] = {}
     for candidate in design.candidates:
-        word = str(status.status(candidate, named or (), decided))
-        word = "detectable" if named is None and word == status.Status.EXCLUDED else word
+        word = str(status.status(candidate, found))
+        word = "detectable" if open_yet and word == status.Status.EXCLUDED else word
         why = status.reason(candidate, word) if word == status.Status.NOT_DECIDED else ""
         rows.setdefault((candidate.alternative.effect.form, word, why), []).append(candidate)
     lines = [_line(adjusted, design, name, word, candidates) for (name, word, _), candidates in rows.items()]
     for scatter in design.scatters:
-        word = status.status_of_scatter(scatter, scattered, decided)
-        lines.append(_of_scatter(adjusted, scatter, word, named is None))
-    lines += [_of_readings(adjusted, reading, named is None, decided) for reading in design.readings]
+        lines.append(_of_scatter(adjusted, scatter, status.status(scatter, found), open_yet))
+    lines += [_of_readings(adjusted, reading, open_yet, found.decided) for reading in design.readings]
     alike: dict[tuple[str, str], list[str]] = {}
     for untested in design.not_tested:
         alike.setdefault((untested.effect.form, untested.reason), []).append("/".join(untested.where.values()))
@@ -58,12 +50,10 @@ def candidate_lines(
 
 def count_of_candidates(diagnosis: Diagnosis) -> str:
     """Return how many candidates have each status, which the full report lists."""
-    named = [finding.effect for finding in diagnosis.findings]
-    scattered = [scatter.effect.name for scatter in diagnosis.scatters]
-    decided = not diagnosis.ended_early
-    words = [status.status(candidate, named, decided) for candidate in diagnosis.design.candidates]
-    words += [status.status_of_scatter(scatter, scattered, decided) for scatter in diagnosis.design.scatters]
-    words += [_NOT_TESTED for _ in diagnosis.design.not_tested]
+    design, found = diagnosis.design, diagnosis.conclusions
+    words = [status.status(candidate, found) for candidate in design.candidates]
+    words += [status.status(scatter, found) for scatter in design.scatters]
+    words += [_NOT_TESTED for _ in design.not_tested]
     counts = ", ".join(f"{count} {word}" for word, count in Counter(words).items())
     return f"candidates: {counts}; `--full` lists them with what each could hide" if counts else "no candidates"
 

@@ -80,11 +80,7 @@ def of_diagnosis(diagnosis: Diagnosis, extended: Extended | None, full: bool = F
     if diagnosis.quick:
         parts.append(["This is the first answer: what explains most. Without `--quick` the search goes on."])
     elif full:
-        scattered = [scatter.effect.name for scatter in diagnosis.scatters]
-        decided = not diagnosis.ended_early
-        parts.append(
-            candidate_lines(job, diagnosis.design, [finding.effect for finding in findings], scattered, decided)
-        )
+        parts.append(candidate_lines(job, diagnosis.design, diagnosis.conclusions))
     else:
         parts.append([count_of_candidates(diagnosis)])
     return "\n\n".join("\n".join(lines) for lines in parts)

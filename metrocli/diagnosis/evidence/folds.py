@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
-from itertools import pairwise
 from typing import cast
 
 import numpy as np
@@ -188,15 +187,8 @@ def surely(state: State) -> State:
 
 def _collinear(state: State) -> set[Key]:
     """Return the effects whose variance the other fixed parts inflate, so that these can stand for them."""
-    lower = state.fit.lower[state.fit.fixed :, state.fit.fixed :]
-    gram, inverse = lower @ lower.T, np.linalg.inv(lower)
-    covariance, ends = inverse.T @ inverse, np.cumsum([0, *(part.rank for part in state.fixed)]).tolist()
-    placed = [(part, slice(*place)) for part, place in zip(state.fixed, pairwise(ends), strict=True)]
-    inflation = {
-        part.key: float(np.vdot(gram[own, own], covariance[own, own])) / part.rank
-        for part, own in placed
-        if part.sort == EFFECT
-    }
+    estimates = _estimates(state.fixed, state.fit).items()
+    inflation = {key: float(np.vdot(gram, covariance)) / len(gram) for key, (_, covariance, gram) in estimates}
     return {key for key, factor in inflation.items() if factor > _INFLATION}
 
 
@@ -207,7 +199,7 @@ def _factors(state: State) -> dict[Key, float]:
     for number in fold_numbers(state.measurement):
         others = Others.of_fold(state, number)
         # an effect that only this unit shows has no size without it
-        for key, (sizes, covariance) in _estimates(others.kept, others.fit).items():
+        for key, (sizes, covariance, _) in _estimates(others.kept, others.fit).items():
             change, q, inverse = sizes - own[key][0], len(sizes), np.linalg.inv(own[key][1])
             more = float(np.vdot(inverse, covariance)) / q - 1
             squares[key].append((float(change @ inverse @ change) / q / max(1.0, more), min(1.0, more)))
@@ -219,9 +211,13 @@ def _factors(state: State) -> dict[Key, float]:
     return factors
 
 
-def _estimates(parts: Sequence[Fixed], fit: Fit) -> dict[Key, tuple[Array, Array]]:
-    """Return sizes of the effects among some fixed parts of a fit, and their covariance for the variance 1."""
-    sizes, root = fit.sizes[fit.fixed :], np.linalg.inv(fit.lower[fit.fixed :, fit.fixed :])
-    covariance, ends = root.T @ root, np.cumsum([0, *(part.rank for part in parts)]).tolist()
-    placed = zip(parts, pairwise(ends), strict=True)
-    return {part.key: (sizes[a:b], covariance[a:b, a:b]) for part, (a, b) in placed if part.sort == EFFECT}
+def _estimates(parts: Sequence[Fixed], fit: Fit) -> dict[Key, tuple[Array, Array, Array]]:
+    """Return sizes of the effects among some fixed parts of a fit, their covariance for the variance 1, and products.
+
+    These are the products of the columns of each, beside all but the fixed parts.
+    """
+    sizes, lower = fit.sizes[fit.fixed :], fit.lower[fit.fixed :, fit.fixed :]
+    root = np.linalg.inv(lower)
+    covariance, gram, ends = root.T @ root, lower @ lower.T, np.cumsum([0, *(part.rank for part in parts)]).tolist()
+    placed = [(part.key, slice(a, b)) for part, a, b in zip(parts, ends, ends[1:], strict=False) if part.sort == EFFECT]
+    return {key: (sizes[own], covariance[own, own], gram[own, own]) for key, own in placed}

@@ -87,11 +87,7 @@ class Fold:
 
     def holds(self, part: Fixed) -> bool:
         """Return whether a part is the error of a held-out reading."""
-        if not part.is_reading:
-            return False
-        rows = self.measurement.places[part.number]
-        # -1 where it has fewer components than others: that is not a row
-        return bool(self.mask[rows[rows >= 0]].any())
+        return part.is_reading and bool(self.mask[self.measurement.rows_of(part.number)].any())
 
 
 @dataclass(frozen=True)
@@ -173,7 +169,7 @@ class Others:
         for part in self.fixed:
             if part.is_reading:
                 # a reading that is named wrong would be predicted badly by any model
-                spared[m.places[part.number][m.places[part.number] >= 0]] = True
+                spared[m.rows_of(part.number)] = True
         if self.fold.whole:
             # predicted but for the local unknowns, and the errors of single members, which only these rows show
             errors = self.without.shared[:, -1] - self.without.shared[:, self.columns] @ self.fit.sizes
@@ -273,13 +269,7 @@ def _log_marginal(fit: Fit, ranks: float) -> float:
 def _beside_members(state: State) -> Array:
     """Return all shared columns of a state, and last the residual, free of what single members have, (rows, p + 1)."""
     if "beside members" not in state.cache:
-        m = state.measurement
-        unknowns = [m.system.basis.shared] if state.members_are_free else []
-        every = np.concatenate(
-            [*unknowns, *(columns for _, columns in state.parts), m.system.residual[:, None]], axis=1
-        )
-        own = state.own
-        state.cache["beside members"] = (
-            every if state.members_are_free else every - own.combined(own.coordinates(every))
-        )
+        every, own = state.shared_columns(), state.own
+        free = state.members_are_free
+        state.cache["beside members"] = every if free else every - own.combined(own.coordinates(every))
     return np.asarray(state.cache["beside members"])

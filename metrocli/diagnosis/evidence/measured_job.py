@@ -17,14 +17,12 @@ from metrocli.adjust.model.observations import Index
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.evidence.functions import process_bases
 from metrocli.diagnosis.evidence.measurement import Measurement
-from metrocli.diagnosis.evidence.parts import Knots
 from metrocli.diagnosis.evidence.prices import counted
 from metrocli.diagnosis.linear.candidates import Candidate, CandidateGroup
 from metrocli.diagnosis.linear.columns import CandidateColumns
 from metrocli.diagnosis.linear.families import families_of, families_throughout
 from metrocli.diagnosis.linear.linearised import linearised
 from metrocli.diagnosis.linear.projection import Linearised
-from metrocli.diagnosis.linear.signatures import signature
 from metrocli.diagnosis.noise import variance_groups
 from metrocli.effects.covariates import Covariate
 from metrocli.effects.effect import Effect, Parameter
@@ -66,7 +64,7 @@ def measurement_of(
         tuple(families),
         not_tested,
         scatters,
-        () if quick else tuple(Knots.of(functions) for functions in process_bases(job, system)),
+        () if quick else tuple(process_bases(job, system)),
         places,
         tuple(variance_groups(job, system)),
         prices,
@@ -98,7 +96,7 @@ def _scatters(
 
     by_name: dict[str, list[CandidateGroup]] = {}
     for family in families:
-        effect = family.alternatives[0].effect if family.alternatives else None
+        effect = family.effect if family.alternatives else None
         if effect is None or not effect.of_all or (effect.is_smooth and not smooth):
             continue
         if can_act_everywhere(system.model, effect):
@@ -107,7 +105,7 @@ def _scatters(
     for own in by_name.values():
         columns = sum(family.columns.count * family.columns.parameters for family in own)
         # coefficients of a smooth effect are its freedoms, where another effect has one place for each alternative
-        places = columns if own[0].alternatives[0].effect.is_smooth else sum(family.columns.count for family in own)
+        places = columns if own[0].effect.is_smooth else sum(family.columns.count for family in own)
         if places >= _PLACES and system.rows * columns**2 <= _MOST:
             scatters.append(tuple(own))
     return scatters
@@ -120,7 +118,7 @@ def _with_standing(job: AdjustedJob, system: Linearised) -> Linearised:
     """
     residual = system.residual
     for fixed in job.standing:
-        residual = residual + signature(job.model, system, fixed.effect, fixed.instance, {}) @ np.array(fixed.sizes)
+        residual = residual + Candidate(fixed.effect, fixed.instance).signature(system) @ np.array(fixed.sizes)
     # projected again: the unknowns absorb a part of what these effects give
     return replace(system, residual=system.seen(residual)) if job.standing else system
 

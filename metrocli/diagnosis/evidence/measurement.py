@@ -14,6 +14,7 @@ import numpy as np
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index, Mask
 from metrocli.diagnosis.adjusted_job import AdjustedJob
+from metrocli.diagnosis.evidence.functions import Functions
 from metrocli.diagnosis.evidence.parts import (
     CORRELATED,
     EFFECT,
@@ -25,7 +26,6 @@ from metrocli.diagnosis.evidence.parts import (
     TERMS,
     UNKNOWN,
     Fixed,
-    Knots,
     Random,
     fixed,
 )
@@ -55,7 +55,7 @@ class Measurement:
     not_tested: list[NotTested]
     scatters: tuple[tuple[CandidateGroup, ...], ...]
     """Families of each effect that may act at all its places at once"""
-    knots: tuple[Knots, ...]
+    knots: tuple[Functions, ...]
     """Functions of the covariates with which errors may be correlated"""
     places: Index
     """Rows of each reading, (readings, d), -1 if it has fewer components"""
@@ -94,16 +94,16 @@ class Measurement:
         return factors
 
     @cached_property
-    def by_member(self) -> tuple[Index, Index]:
-        """Rows in the order of their local members, and where each member begins among them, (members + 1,)."""
+    def rows_of_members(self) -> list[Index]:
+        """Rows of each local member."""
         member, members = self.system.basis.member, self.system.basis.members
         order = np.argsort(member, kind="stable")
-        return order, np.searchsorted(member[order], np.arange(members + 1))
+        return np.split(order, np.searchsorted(member[order], np.arange(members + 1)))[1:-1]
 
-    def is_local(self, knots: Knots) -> bool:
+    def is_local(self, knots: Functions) -> bool:
         """Whether each unit of a covariate is alone in one local member, so that its errors are eliminated with it."""
         member, there = self.system.basis.member, knots.component >= 0
-        if not knots.functions.by or self.system.basis.members < 2 or (member[there] < 0).any():
+        if not knots.by or self.system.basis.members < 2 or (member[there] < 0).any():
             return False
         # each has one of the other: images of several cameras share the pose of their exposure
         return _is_function(knots.unit[there], member[there]) and _is_function(member[there], knots.unit[there])
@@ -115,14 +115,14 @@ class Measurement:
 
     def lengths(self, number: int) -> list[float]:
         """Return the lengths of correlation that the knots of a covariate resolve."""
-        least = least_length(self.knots[number].functions.distances)
+        least = least_length(self.knots[number].distances)
         return [length for length in LENGTHS if length >= least]
 
     def kernel(self, number: int, length: float) -> Array:
         """Return the root of the covariance between the knots of a covariate."""
         key = "kernel", number, length
         if key not in self.cache:
-            self.cache[key] = kernel(self.knots[number].functions.distances, length)
+            self.cache[key] = kernel(self.knots[number].distances, length)
         return self.cache[key]
 
     @cached_property
@@ -132,9 +132,9 @@ class Measurement:
 
     def price_of_correlated(self, number: int, unit: int) -> float:
         """Return the price of an error correlated over a covariate, of all units together or of one of them."""
-        functions = self.knots[number].functions
-        copies = functions.count if unit >= 0 else 1
-        each = bool(functions.by) and unit < 0
+        own = self.knots[number]
+        copies = own.count if unit >= 0 else 1
+        each = bool(own.by) and unit < 0
         return price_of_variance(self.tried * copies) + (OF_UNITS if each else OF_ALL)
 
     @property
@@ -186,20 +186,21 @@ class Measurement:
         unknown = bool(self.families[family].unknown)
         gram = self.families[family].gram[number]
         effect = fixed(whole, gram, (family, number), 0.0, UNKNOWN if unknown else EFFECT)
-        return replace(effect, price=self.price_of(family, max(effect.rank, 1)))
-
-    def price_of(self, family: int, rank: int) -> float:
-        """Return the price of an alternative of a family by its rank."""
-        return self.prices.of_columns(family, rank) + (OF_ALL if self.families[family].unknown else 0.0)
+        return replace(effect, price=self.prices.of_columns(family, max(effect.rank, 1)) + (OF_ALL if unknown else 0.0))
 
     def term(self, whole: Array, key: tuple[int, int], price: float) -> Fixed:
         """Return the whole columns of a term of a law (rows, factors) as fixed columns, whose key no effect has."""
         seen = self.system.seen(whole)
         return fixed(whole, seen.T @ seen, (TERMS - key[0], key[1]), price, TERM)
 
+    def rows_of(self, reading: int) -> Index:
+        """Return the rows of a reading that may be wrong, (d,)."""
+        rows: Index = self.places[reading]
+        return rows[rows >= 0]
+
     def reading(self, number: int) -> Fixed:
         """Return the error of one reading as fixed columns."""
-        rows = self.places[number][self.places[number] >= 0]
+        rows = self.rows_of(number)
         whole = np.zeros((self.system.rows, len(rows)))
         whole[rows, np.arange(len(rows))] = 1.0
         gram = np.eye(len(rows)) - self.system.basis.products(rows, rows)
@@ -208,9 +209,13 @@ class Measurement:
 
     def correlation(self, first: Fixed, other: Fixed) -> Array:
         """Return the products of what is visible of the errors of two readings, whose columns have the length 1."""
-        some, others = (self.places[part.number][self.places[part.number] >= 0] for part in (first, other))
+        some, others = self.rows_of(first.number), self.rows_of(other.number)
         same = (some[:, None] == others).astype(float)
         return np.asarray(first.turn.T @ (same - self.system.basis.products(some, others)) @ other.turn)
+
+    def random(self, kind: str, key: tuple[int, int, int]) -> Random:
+        """Return a random part by its kind and key."""
+        return self.scatter(key[0]) if kind == SCATTER else self.correlated(key[0], LENGTHS[key[1]], key[2])
 
     def correlated(self, number: int, length: float, unit: int) -> Random:
         """Return an error that is correlated over a covariate."""
@@ -226,7 +231,7 @@ class Measurement:
         rows = self.system.rows
         columns = [scatter.columns.whole(range(scatter.columns.count), rows) for scatter in self.scatters[number]]
         every = np.concatenate([column.reshape(rows, -1) for column in columns], axis=1)
-        if self.scatters[number][0].alternatives[0].effect.is_smooth:
+        if self.scatters[number][0].effect.is_smooth:
             # a turn of the coefficients leaves them independent; most directions of a smooth shape are too small to see
             values, vectors = np.linalg.eigh(every.T @ every)
             every = every @ vectors[:, values > _SMOOTH * values[-1]]

@@ -196,7 +196,7 @@ def _noise(state: State, alone: bool) -> list[Move]:
 
 def _by_effects(m: Measurement) -> set[int]:
     """Return the variance groups of given values whose larger noise an effect names, such as the return to stops."""
-    every = (scatter[0].alternatives[0].effect for scatter in m.scatters)
+    every = (scatter[0].effect for scatter in m.scatters)
     blocks = {(m.job.model.places[key].index,) for effect in every if effect.noise for key in effect.keys}
     names = {group.name for group in m.job.model.groups if group.chain.blocks in blocks}
     return {number for number, (kind, name, _) in enumerate(m.units) if kind == DECLARED_SIGMA and name in names}

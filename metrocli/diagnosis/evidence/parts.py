@@ -8,8 +8,6 @@ from __future__ import annotations
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
-from metrocli.adjust.model.observations import Index
-from metrocli.diagnosis.evidence.functions import Functions
 from metrocli.frozen import dataclass
 
 READINGS, TERMS = -1, -2
@@ -83,61 +81,3 @@ def fixed(whole: Array, gram: Array, key: tuple[int, int], price: float, sort: s
     kept = values > _SEEN**2 * max(float(values[-1]), 1e-300)
     turn = vectors[:, kept] / np.sqrt(values[kept]) / lengths[:, None]
     return Fixed(*key, whole @ turn, turn, price, sort)
-
-
-@dataclass(frozen=True)
-class Knots:
-    """The functions of a covariate, each row with those of its own unit and component."""
-
-    functions: Functions
-    values: Array
-    """Values of the functions that are not 0 at each row, (rows, m)"""
-    numbers: Index
-    """Their knots, (rows, m)"""
-    component: Index
-    """Component (of all groups) of each row, -1 where it has none"""
-    unit: Index
-    """Unit of each row"""
-    components: int
-
-    @classmethod
-    def of(cls, functions: Functions) -> Knots:
-        """Return the functions of a covariate row by row."""
-        matrix = functions.columns
-        rows, knots, units = matrix.shape[0], len(functions.distances), functions.count
-        # all rows have as many entries: their arrays are tables
-        m = matrix.nnz // rows
-        values, numbers = matrix.data.reshape(rows, m), matrix.indices.reshape(rows, m).astype(np.intp)
-        # columns are ordered by component, in it by unit, in it by knot
-        copy = numbers[:, 0] // knots
-        # all zero: the row has no function of this covariate, but the sparse table has its entries all the same
-        idle = ~values.any(axis=1)
-        return cls(
-            functions,
-            values,
-            numbers % knots,
-            np.where(idle, -1, copy // units),
-            copy % units,
-            len(functions.units) // units,
-        )
-
-    def compact(self, turn: Array, unit: int = -1) -> Array:
-        """Return the columns of each row's own unit, (rows, components*k), of a turn of the knots (knots, k)."""
-        k = turn.shape[1]
-        columns = np.zeros((len(self.values), self.components, k))
-        combined = np.einsum("rm,rmk->rk", self.values, turn[self.numbers])
-        has_functions = self.component >= 0
-        if unit >= 0:
-            has_functions &= self.unit == unit
-        rows = np.flatnonzero(has_functions)
-        columns[rows, self.component[rows]] = combined[rows]
-        return columns.reshape(len(columns), -1)
-
-    def spread(self, turn: Array) -> Array:
-        """Return the columns of all units side by side, (rows, components*units*k)."""
-        compact = self.compact(turn)
-        if self.functions.count == 1:
-            return compact
-        columns = np.zeros((len(compact), self.functions.count, compact.shape[1]))
-        columns[np.arange(len(compact)), self.unit] = compact
-        return columns.reshape(len(compact), -1)

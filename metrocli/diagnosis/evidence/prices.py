@@ -105,7 +105,7 @@ def counted(
     noise = system.seen(rng.normal(size=(system.rows, DRAWS)))
     # chi-square with as many degrees of freedom as the declared noise counts for, so that the draws have its part too
     squares, dof = (noise**2).sum(axis=0) + rng.chisquare(PRIOR, DRAWS), system.dof + PRIOR
-    least = [smallest_of_family(family.columns, family.gram, family.raw, noise, squares, dof) for family in families]
+    least = [smallest_of_family(family, noise, squares, dof) for family in families]
     counts = [effective_number_of_tests(levels_) for levels_ in least]
     levels = [log_family(levels_, count) for levels_, count in zip(least, counts, strict=True)]
     # one more for wrong readings, which are a family of their own, and one for each effect at all its places

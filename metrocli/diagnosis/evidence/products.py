@@ -7,12 +7,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from itertools import pairwise
 
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
-from metrocli.adjust.model.observations import Index
 from metrocli.diagnosis.evidence.likelihood import Products
 from metrocli.diagnosis.evidence.measurement import Measurement
 from metrocli.diagnosis.evidence.parts import Fixed, Random
@@ -82,21 +80,6 @@ def shared_parts(
     if unknowns:
         return [("unknowns", m.system.basis.shared), *_free_of_local(m, others)]
     return _free_of_all(m, others)
-
-
-def shared_columns(
-    m: Measurement,
-    fixed: Sequence[Fixed],
-    random: Sequence[Random],
-    unknowns: bool = True,
-    rows: Index | slice = slice(None),
-) -> Array:
-    """Return the shared columns of unknowns, random and fixed parts side by side, (rows, p), at some rows or all."""
-    parts = [columns[rows] for _, columns in shared_parts(m, fixed, random, unknowns)]
-    if len(parts) == 1:
-        return parts[0]
-    count = m.system.rows if isinstance(rows, slice) else len(rows)
-    return np.concatenate([np.zeros((count, 0)), *parts], axis=1)
 
 
 def _local_parts(m: Measurement, random: Sequence[Random]) -> list[KeyedColumns]:
@@ -169,9 +152,8 @@ def products_of_members(
 
 def _by_members(m: Measurement, columns: Array, others: Columns) -> Array:
     """Return the products of columns (rows, k) with others (rows, p) over the rows of each member, (members, k, p)."""
-    order, begins = m.by_member
     if isinstance(others, np.ndarray):
-        return np.stack([columns[order[a:b]].T @ others[order[a:b]] for a, b in pairwise(begins)])
+        return np.stack([columns[rows].T @ others[rows] for rows in m.rows_of_members])
     from scipy.sparse import csr_matrix
 
     # all members in one product: taking rows out of a sparse matrix costs more than their products

@@ -20,7 +20,6 @@ from metrocli.diagnosis.linear.candidates import Candidate, CandidateGroup
 from metrocli.diagnosis.linear.column_parts import OwnColumns
 from metrocli.diagnosis.linear.quadratics import quadratic
 from metrocli.diagnosis.linear.scans import conditions_of, is_filled, thinned
-from metrocli.diagnosis.linear.signatures import signature
 from metrocli.effects.links.own import NoValueAtReadingError
 from metrocli.frozen import dataclass
 
@@ -86,11 +85,8 @@ class _Scan:
 
     def tried(self, alternative: Candidate) -> _Tried | None:
         """Return what an alternative explains; None if it has no value at some reading."""
-        m = self.less.measurement
         try:
-            whole = signature(
-                m.job.model, m.system, alternative.effect, alternative.instance, dict(alternative.scanned)
-            )
+            whole = alternative.signature(self.less.measurement.system)
         except NoValueAtReadingError:
             return None
         left = self.less.seen(whole)

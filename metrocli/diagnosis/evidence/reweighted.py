@@ -10,9 +10,7 @@ D and all products on the right have these rows only. D = -I leaves the rows out
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
-from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,7 +19,7 @@ from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index
 from metrocli.diagnosis.evidence.gain import PREDICTED
 from metrocli.diagnosis.evidence.likelihood import Fit, Products
-from metrocli.diagnosis.evidence.products import local_columns, shared_columns
+from metrocli.diagnosis.evidence.products import local_columns
 from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.linear.basis import Basis, members_of_equal_size
 from metrocli.diagnosis.linear.quadratics import solved
@@ -58,10 +56,7 @@ class Reweighted:
     def of(cls, state: State, rows: Index, change: Array) -> Reweighted:
         """Return the products after the weights of some rows, which are 1, have changed, (rows,)."""
         m, known = state.measurement, _with_unknowns(state)
-        columns = [m.system.basis.shared[rows]] if state.members_are_free else []
-        columns += [shared_columns(m, state.fixed, state.random, not state.members_are_free, rows)]
-        residual = m.system.residual[rows, None]
-        every = np.concatenate([*columns, residual, local_columns(m, state.random)[rows]], axis=1)
+        every = np.concatenate([state.shared_columns(rows), local_columns(m, state.random)[rows]], axis=1)
         p, weight = len(known.right), change[:, None]
         basis = m.system.basis.of_members.at(rows)
         member, shape = basis.member, (basis.members, basis.local.shape[1], every.shape[1])
@@ -92,7 +87,7 @@ class Reweighted:
         if shape[2] > p + 1:
             at = m.system.basis.member[rows]
             numbers, mixed, own = np.flatnonzero(np.bincount(at[at >= 0])), known.mixed.copy(), known.own.copy()
-            for number, some, w, x in zip(numbers, _parts(order, begins), inside, solved, strict=True):
+            for number, some, w, x in zip(numbers, np.split(order, begins)[1:-1], inside, solved, strict=True):
                 more = every[some, p + 1 :].T @ (weight[some] * every[some]) - w[:, p + 1 :].T @ x
                 mixed[number] += more[:, : p + 1]
                 own[number] += more[:, p + 1 :]
@@ -179,10 +174,6 @@ def directions_without(basis: Basis, rows: Index) -> tuple[Array, csr_matrix]:
     turn = csr_matrix((np.concatenate(values), numbers), shape=(len(rows), len(rows)))
     unit = csr_matrix((np.ones(len(rows)), (rows, every)), shape=(len(basis.local), len(rows)))
     return ((unit - basis.sparse @ basis.sparse[rows].T) @ turn).toarray(), turn
-
-
-def _parts(order: Index, begins: Index) -> Iterator[Index]:
-    return (order[a:b] for a, b in pairwise(begins))
 
 
 def _sums(values: Array, order: Index, begins: Index) -> Array:

@@ -16,45 +16,12 @@ import numpy as np
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Mask
 from metrocli.diagnosis.evidence.likelihood import Fit, Products, fit_at, likeliest
-from metrocli.diagnosis.evidence.measurement import LENGTHS, Measurement
-from metrocli.diagnosis.evidence.parts import EFFECT, SCATTER, UNKNOWN, Fixed, Random
+from metrocli.diagnosis.evidence.measurement import Measurement
+from metrocli.diagnosis.evidence.parts import EFFECT, UNKNOWN, Fixed, Random
 from metrocli.diagnosis.evidence.prices import FURTHER, PRIOR, gain_of_columns
 from metrocli.diagnosis.evidence.products import products_of
 from metrocli.diagnosis.linear.quadratics import solved
 from metrocli.frozen import dataclass
-
-
-@dataclass(frozen=True)
-class Given:
-    """Products of the columns of fixed parts, without what unknowns and random parts take of them."""
-
-    gram: Array
-    """(k, k)"""
-    right: Array
-    """With what these leave of the residual, (k,)"""
-    squares: float
-    """Squares of the residual that these leave"""
-    dof: float
-    ranks: tuple[int, ...]
-    """Number of columns of each part"""
-
-    def evidence(self, kept: Mask) -> Array:
-        """Return the sum of the evidence of some parts, each beside those before it, for several choices (n, parts)."""
-        own, ranks = np.repeat(kept, self.ranks, axis=1), np.where(kept, np.array(self.ranks, dtype=float), 0.0)
-        scale = np.sqrt(np.maximum(np.diag(self.gram), 1e-300))
-        # the bump lets a column that depends on others pass; its diagonal shows below that it did
-        unit, right = self.gram / scale / scale[:, None] + 1e-12 * np.eye(len(scale)), self.right / scale
-        explained = np.zeros(own.shape)
-        for at, squares in zip(map(np.flatnonzero, own), explained, strict=True):
-            lower = np.asarray(np.linalg.cholesky(unit[at[:, None], at]), dtype=float)
-            # a column that depends on those before it explains nothing
-            squares[at] = np.where(np.diag(lower) > 1e-5, solved(lower, right[at]) ** 2, 0.0)
-        ends = np.cumsum([0, *self.ranks])
-        after = np.cumsum(np.pad(explained, ((0, 0), (1, 0))), axis=1)[:, ends]
-        left = np.maximum(self.squares - after[:, :-1], 1e-300)
-        free = self.dof - np.cumsum(ranks, axis=1, dtype=float) + ranks
-        return np.asarray(gain_of_columns(np.diff(after), ranks, left, free).sum(axis=1))
-
 
 _EXACT, _EXACT_OF_ALL = 1e-10, 1e-15
 """Variance of rounding, in the declared one and in that before anything was named"""
@@ -110,13 +77,10 @@ class Scored:
         return tuple(part for part in self.fixed if part.is_reading)
 
     @cached_property
-    def given(self) -> Given:
-        """The fixed columns, given the unknowns and the random parts."""
-        at = self.fit.fixed
-        lower, sought = self.fit.lower[at:, at:], self.fit.sought[at:]
-        ranks = tuple(part.rank for part in self.fixed)
-        # the last rows of the factor of the whole system are the factor of what is left beside all before them
-        return Given(lower @ lower.T, lower @ sought, float(self.fit.squares + sought @ sought), self.fit.dof, ranks)
+    def bare_squares(self) -> float:
+        """Squares of the residual that unknowns and random parts leave."""
+        sought = self.fit.sought[self.fit.fixed :]
+        return float(self.fit.squares + sought @ sought)
 
     @cached_property
     def freedoms(self) -> float:
@@ -146,9 +110,30 @@ class Scored:
 
     def _scores(self, kept: Mask) -> Array:
         """Return the scores with some of the fixed parts (n, parts), at the same sizes of the random parts."""
-        likelihood = self.measurement.log_scale - (self.fit.dof * np.log(self.given.squares) + self.fit.log_det) / 2
+        likelihood = self.measurement.log_scale - (self.fit.dof * np.log(self.bare_squares) + self.fit.log_det) / 2
         prices = [self._prices([*compress(self.fixed, choice)]) for choice in kept]
-        return np.asarray(likelihood + self.given.evidence(kept) - prices)
+        return np.asarray(likelihood + self._evidence(kept) - prices)
+
+    def _evidence(self, kept: Mask) -> Array:
+        """Return the sum of the evidence of some fixed parts, each beside those before it, for choices (n, parts)."""
+        of_each, at = [part.rank for part in self.fixed], self.fit.fixed
+        # the last rows of the factor of the whole system are the factor of what is left beside all before them
+        lower, sought = self.fit.lower[at:, at:], self.fit.sought[at:]
+        gram, right = lower @ lower.T, lower @ sought
+        own, ranks = np.repeat(kept, of_each, axis=1), np.where(kept, np.array(of_each, dtype=float), 0.0)
+        scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+        # the bump lets a column that depends on others pass; its diagonal shows below that it did
+        unit, right = gram / scale / scale[:, None] + 1e-12 * np.eye(len(scale)), right / scale
+        explained = np.zeros(own.shape)
+        for some, squares in zip(map(np.flatnonzero, own), explained, strict=True):
+            lower = np.asarray(np.linalg.cholesky(unit[some[:, None], some]), dtype=float)
+            # a column that depends on those before it explains nothing
+            squares[some] = np.where(np.diag(lower) > 1e-5, solved(lower, right[some]) ** 2, 0.0)
+        ends = np.cumsum([0, *of_each])
+        after = np.cumsum(np.pad(explained, ((0, 0), (1, 0))), axis=1)[:, ends]
+        left = np.maximum(self.bare_squares - after[:, :-1], 1e-300)
+        free = self.fit.dof - np.cumsum(ranks, axis=1, dtype=float) + ranks
+        return np.asarray(gain_of_columns(np.diff(after), ranks, left, free).sum(axis=1))
 
     def _prices(self, fixed: Sequence[Fixed]) -> float:
         names = sum(part.sort == EFFECT for part in fixed)
@@ -221,17 +206,10 @@ class Scored:
         here, there = self.measurement, measurement
         # another linearisation has other columns; the same one with other weights has the old ones times a factor
         if (here.unweighted or here) is not (there.unweighted or there):
-            return type(self).of(there, fixed, [remade(there, part) for part in self.random], self.logs)
+            return type(self).of(there, fixed, [there.random(part.kind, part.key) for part in self.random], self.logs)
         factor = (there.weights / here.weights)[:, None]
         return type(self).of(there, fixed, [replace(p, columns=p.columns * factor) for p in self.random], self.logs)
 
     def settled(self) -> Self:
         """Return the state with all sizes estimated until they stay."""
         return self.again() if self.random else self
-
-
-def remade(m: Measurement, part: Random) -> Random:
-    """Return a random part of another linearisation in this one."""
-    return (
-        m.scatter(part.key[0]) if part.kind == SCATTER else m.correlated(part.key[0], LENGTHS[part.key[1]], part.key[2])
-    )

@@ -8,12 +8,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cached_property
-from itertools import pairwise
 
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
-from metrocli.adjust.model.observations import Index, Mask
+from metrocli.adjust.model.observations import Index
 from metrocli.diagnosis.evidence.likelihood import ROUNDING
 from metrocli.diagnosis.evidence.parts import LARGEST, READINGS, Fixed
 from metrocli.diagnosis.evidence.prices import FURTHER, OF_ALL, gain_of_columns
@@ -39,9 +38,7 @@ class State(Scored):
         across = np.zeros(columns.shape)
         if columns.shape[1]:
             scale = np.exp(self.logs[self.fit.products.of_local] / 2)
-            order, begins = m.by_member
-            for member, half in enumerate(self.fit.half):
-                rows = order[begins[member] : begins[member + 1]]
+            for rows, half in zip(m.rows_of_members, self.fit.half, strict=True):
                 across[rows] = (columns[rows] * scale) @ half.T
         return across
 
@@ -57,8 +54,8 @@ class State(Scored):
         m = self.measurement
         x = np.concatenate([np.zeros((m.system.rows, 0)), *(columns for _, columns in self.parts)], axis=1)
         if not self.members_are_free:
-            errors, (order, begins) = self._by_members, m.by_member
-            for shown, some in zip(self.fit.shown, (order[a:b] for a, b in pairwise(begins)), strict=True):
+            errors = self._by_members
+            for shown, some in zip(self.fit.shown, m.rows_of_members, strict=True):
                 rows = without_gathering(some)
                 x[rows] -= errors[rows] @ shown[:, :-1]
         return solved(self.fit.lower, x.T).T
@@ -67,6 +64,13 @@ class State(Scored):
     def parts(self) -> list[tuple[object, Array]]:
         """What is shared and entered, with its keys, free of the unknowns unless members have errors."""
         return shared_parts(self.measurement, self.fixed, self.random, not self.members_are_free)
+
+    def shared_columns(self, rows: Index | slice = slice(None)) -> Array:
+        """Return the shared columns of unknowns and parts, and last the residual, at some rows, (rows, p + 1)."""
+        system = self.measurement.system
+        unknowns = [system.basis.shared[rows]] if self.members_are_free else []
+        parts = (columns[rows] for _, columns in self.parts)
+        return np.concatenate([*unknowns, *parts, system.residual[rows, None]], axis=1)
 
     @cached_property
     def basis(self) -> Basis:
@@ -115,12 +119,9 @@ class State(Scored):
                 return every
         return np.concatenate([products[key] for key, _ in self.parts])
 
-    def absorbed(self, rows: Index | Mask | slice = slice(None)) -> Array:
-        """Return the share of each reading that the state absorbs."""
-        return self._absorbed[rows]
-
     @cached_property
-    def _absorbed(self) -> Array:
+    def absorbed(self) -> Array:
+        """The share of each reading that the state absorbs, (rows,)."""
         entered = np.einsum("rk,rk->r", self.entered, self.entered)
         if not self.members_are_free:
             return np.asarray(self.own.squares() + entered)
@@ -136,7 +137,7 @@ class State(Scored):
     def _taken_of(self, rows: Index) -> Array:
         """Return the products of what the state takes of rows (n, a), -1 for none, with each other, (n, a, a)."""
         if rows.ndim == 2 and rows.shape[1] == 1:
-            return np.where(rows >= 0, self._absorbed[rows], 0.0)[:, :, None]
+            return np.where(rows >= 0, self.absorbed[rows], 0.0)[:, :, None]
         if not self.members_are_free:
             return self.basis.products(rows, rows)
         m = self.measurement
@@ -152,7 +153,7 @@ class State(Scored):
     def ratio_of(self, group: int) -> float:
         """Return the standard deviation of a variance group relative to that of all other readings."""
         rows = self.measurement.units[group][2]
-        own = float(rows.sum()) - float(self.absorbed(rows).sum())
+        own = float(rows.sum()) - float(self.absorbed[rows].sum())
         return self.own_noise(own, float((self.residual[rows] ** 2).sum()))[0]
 
     def own_noise(self, freedoms: float, squares: float) -> tuple[float, float]:
@@ -241,7 +242,7 @@ class State(Scored):
         return solved(lower, w.T).T
 
     def of_family(self, family: int, taken: Array | None = None) -> tuple[Array, Array]:
-        """Return the squares that each alternative explains, and its rank; without the part of `taken_by`."""
+        """Return the squares that each alternative explains, and its rank; without the part that `taken_by` is for."""
         gram, right = self.left(family)
         if taken is not None:
             along = self.measurement.families[family].columns.products(taken)
@@ -260,8 +261,8 @@ class State(Scored):
             return np.where(beyond, 0.0, gain), price + OF_ALL, t
         return gain, price + (FURTHER if self.named or self.readings else 0.0), t
 
-    def nets_of_family(self, family: int) -> Array:
-        """Return the net gain of each alternative of a family, -inf where it explains nothing; computed once."""
+    def nets(self, family: int) -> Array:
+        """Return the net gain of each alternative of a family, computed once; -inf where it explains nothing."""
         if ("nets", family) not in self.cache:
             gain, price, _ = self.gains_of_family(family)
             self.cache["nets", family] = np.where(gain > 0, gain - price, -np.inf)
@@ -273,24 +274,24 @@ class State(Scored):
         return gain, self.measurement.prices.of_ranks(READINGS, q), t
 
     def of_readings(self, taken: Array | None = None) -> tuple[Array, Array, Array]:
-        """Return gain, rank and explained squares of an error of each reading; without the part of `taken_by`."""
-        return self._of_readings if taken is None else self._without(taken)
+        """Return the gain of an error of each reading, its rank, and the squares that it explains.
+
+        Without a part if its directions `taken` are given (`taken_by`).
+        """
+        if taken is None:
+            return self._of_readings
+        there = (rows := self.measurement.places) >= 0
+        own = np.where(there[:, :, None], taken[rows], 0.0)
+        residual = self.residual + taken @ (taken.T @ self.measurement.system.residual)
+        return self._explained_by_readings(self.of_rows(rows) + own @ np.swapaxes(own, 1, 2), residual)
 
     @cached_property
     def _of_readings(self) -> tuple[Array, Array, Array]:
-        return self._without(None)
+        return self._explained_by_readings(self.of_rows(self.measurement.places), self.residual)
 
-    def _without(self, taken: Array | None) -> tuple[Array, Array, Array]:
-        m = self.measurement
-        rows = m.places
-        there = rows >= 0
-        gram = self.of_rows(rows)
-        residual = self.residual
-        if taken is not None:
-            own = np.where(there[:, :, None], taken[rows], 0.0)
-            gram = gram + own @ np.swapaxes(own, 1, 2)
-            residual = residual + taken @ (taken.T @ m.system.residual)
-        right = np.where(there, residual[rows], 0.0)
+    def _explained_by_readings(self, gram: Array, residual: Array) -> tuple[Array, Array, Array]:
+        rows = self.measurement.places
+        right = np.where(rows >= 0, residual[rows], 0.0)
         weak = np.einsum("iaa->ia", gram).sum(axis=1) < 1e-3
         t, q = quadratic(gram, right, np.ones(rows.shape))
         q = np.where(weak, 0, q)

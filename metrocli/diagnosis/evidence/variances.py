@@ -7,7 +7,6 @@ anew. Method: docs/algorithms/evidence.md.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from itertools import pairwise
 
 import numpy as np
 
@@ -67,9 +66,7 @@ class Found:
 
     def part(self, m: Measurement) -> Random:
         """Return its columns."""
-        if self.kind == SCATTER:
-            return m.scatter(self.key[0])
-        return m.correlated(self.key[0], LENGTHS[self.key[1]], self.key[2])
+        return m.random(self.kind, self.key)
 
 
 @dataclass(frozen=True)
@@ -95,11 +92,11 @@ class _Blocks:
 def _blocks(state: State, number: int) -> _Blocks:
     """Return the products of the functions of a covariate beside a state, unit by unit."""
     m, own = state.measurement, state.measurement.knots[number]
-    knots, count = len(own.functions.distances), own.functions.count
+    knots, count = len(own.distances), own.count
     if m.local[number]:
         return _Blocks(*_of_units(state, number))
-    gram = state.gram(("functions", number), own.functions.columns)
-    along = np.asarray(own.functions.columns.T @ state.residual)
+    gram = state.gram(("functions", number), own.columns)
+    along = np.asarray(own.columns.T @ state.residual)
     # from component, unit, knot to unit, component, knot
     each = own.components
     gram = gram.reshape(each, count, knots, each, count, knots).transpose(1, 0, 2, 4, 3, 5)
@@ -112,17 +109,15 @@ def _of_units(state: State, number: int) -> tuple[Array, Array]:
     """Return the products of the functions of each unit, which has a local member, with each other and the residual."""
     m, own = state.measurement, state.measurement.knots[number]
     if ("compact", number) not in m.cache:
-        m.cache["compact", number] = own.compact(np.eye(len(own.functions.distances)))
+        m.cache["compact", number] = own.compact(np.eye(len(own.distances)))
     columns, size = m.cache["compact", number], m.cache["compact", number].shape[1]
     # what the unknowns leave is computed once, unless errors of members are taken with them
     cache, key = m.cache if state.members_are_free else {}, ("visible of units", number)
     others = [state.own.local, *([m.system.basis.shared] if state.members_are_free else [])] if key not in cache else []
-    visible, taken = np.zeros((2, own.functions.count, size, size))
-    right = np.zeros((own.functions.count, size))
-    order, begins = m.by_member
-    for a, b in pairwise(begins):
-        some = order[a:b]
-        some = some[own.component[some] >= 0]
+    visible, taken = np.zeros((2, own.count, size, size))
+    right = np.zeros((own.count, size))
+    for every in m.rows_of_members:
+        some = every[own.component[every] >= 0]
         if len(some):
             rows = without_gathering(some)
             c, unit = columns[rows], own.unit[some[0]]
@@ -154,7 +149,7 @@ def correlated_errors(state: State, quiet: set[int], most: int = 3) -> list[Foun
         blocks, before = _blocks(state, number), len(scored)
         for length in m.lengths(number):
             at, turn = LENGTHS.index(length), m.kernel(number, length)
-            of_a_unit, units = own.components * turn.shape[1], own.functions.count
+            of_a_unit, units = own.components * turn.shape[1], own.count
             if of_a_unit > room:
                 continue
             gram, right = blocks.turned(turn)
@@ -222,7 +217,7 @@ def noisier_groups(state: State) -> list[tuple[float, int, float]]:
     m, noisier = state.measurement, []
     if len(m.units) < 2:
         return []
-    taken, r = state.absorbed(), state.residual
+    taken, r = state.absorbed, state.residual
     for number, (kind, _, rows) in enumerate(m.units):
         # a group that has its own noise already costs nothing more
         price = 0.0 if number in m.noise else m.price_of_noise

@@ -13,7 +13,6 @@ import numpy as np
 from metrocli.adjust.model.blocks import Array
 from metrocli.diagnosis.evidence.likelihood import Products, fit_at, likeliest
 from metrocli.diagnosis.evidence.measurement import Measurement
-from metrocli.diagnosis.evidence.parts import Knots
 from metrocli.diagnosis.evidence.prices import PRIOR
 from metrocli.diagnosis.evidence.reweighted import Reweighted
 from metrocli.diagnosis.evidence.state import State
@@ -41,7 +40,7 @@ def with_noise(measurement: Measurement, ratios: Mapping[int, float]) -> Measure
         own,
         families=_families(measurement, weighted, factor),
         scatters=tuple(tuple(_weighted(family, weighted, factor) for family in own) for own in measurement.scatters),
-        knots=tuple(_knots(knot, factor) for knot in measurement.knots),
+        knots=tuple(replace(own, values=own.values * factor[:, None]) for own in measurement.knots),
     )
 
 
@@ -163,11 +162,3 @@ def _of(family: CandidateGroup, columns: CandidateColumns, gram: Array, factor: 
     for at, own in whole.items():
         raw[at] = np.linalg.norm(own.values, axis=0)
     return replace(family, columns=columns, raw=raw, gram=gram, whole=whole)
-
-
-def _knots(knots: Knots, factor: Array) -> Knots:
-    from scipy.sparse import diags
-
-    columns = (diags(factor) @ knots.functions.columns).tocsr()
-    functions = replace(knots.functions, columns=columns)
-    return replace(knots, functions=functions, values=knots.values * factor[:, None])

@@ -13,7 +13,7 @@ from metrocli.adjust.model.blocks import Array
 from metrocli.diagnosis.evidence.gain import Gain
 from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.laws.library import Library, Term
-from metrocli.diagnosis.laws.steps import Lawful, columns_of_terms
+from metrocli.diagnosis.laws.steps import Lawful
 from metrocli.diagnosis.laws.terms import columns_of
 from metrocli.diagnosis.linear.candidates import Candidate
 from metrocli.diagnosis.linear.quadratics import quadratic
@@ -82,7 +82,7 @@ class Law:
 def law_of(lawful: Lawful, base: State, gain: Gain, instead: State) -> Law:
     library, terms, state = lawful.library, lawful.terms, lawful.state
     system = base.measurement.system
-    whole = columns_of_terms(library, terms)
+    whole = np.concatenate([library.columns(term) for term in terms], axis=1)
     left = base.seen(whole)
     # columns of unit length: powers of a variable differ by many decades, and the cut of the pseudo-inverse is relative
     scale = np.maximum(np.sqrt(np.maximum((whole * left).sum(axis=0), 0.0)), 1e-300)
@@ -104,23 +104,22 @@ def law_of(lawful: Lawful, base: State, gain: Gain, instead: State) -> Law:
         gain,
         float(np.clip(part, 0.0, 1.0)),
         float(np.sqrt((shown[shown != 0] ** 2).mean())) if shown.any() else 0.0,
-        _data(library, terms, sizes, state.residual),
+        _data(library, terms, whole @ sizes, sizes, state.residual),
         near_effects(base, left @ sizes),
     )
 
 
-def _data(library: Library, terms: Sequence[Term], sizes: Array, after: Array) -> LawData | None:
-    """Return a law over its variable, beside the readings on which it acts; `after` is the residual with it (rows,)."""
+def _data(library: Library, terms: Sequence[Term], adds: Array, sizes: Array, after: Array) -> LawData | None:
+    """Return a law over its variable, beside the readings to which it adds; `after` is the residual with it (rows,)."""
     system, spot = library.system, terms[0].spot
     variables = {name for term in terms for name in term.form.variables}
     if not variables:
         return None
-    adds = columns_of_terms(library, terms)
-    law = (adds @ sizes) * system.scale
+    law = adds * system.scale
     residual = law + after * system.scale
-    unit_of_readings, showing = system.showing(adds @ sizes)
+    unit_of_readings, showing = system.showing(adds)
     if len(variables) > 1 or any(term.spot.component != spot.component for term in terms):
-        rows = np.flatnonzero(adds.any(axis=1) & showing)
+        rows = np.flatnonzero((adds != 0) & showing)
         return LawData("", "", law[rows], law[rows], residual[rows], unit_of_readings, None)
     (name,) = variables
     change = np.where(showing, library.change(spot) * system.scale, 0.0)

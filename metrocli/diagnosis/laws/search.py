@@ -102,7 +102,7 @@ def _as_likely(start: Lawful, chosen: Term) -> tuple[Term, ...]:
     """Return the terms whose evidence is like that of the best single one, the best of each place and its variables."""
     tried = list[tuple[float, Term]]()
     for number, terms in enumerate(start.library.terms):
-        tried += zip(start.state.nets_of_family(number).tolist(), terms, strict=True)
+        tried += zip(start.state.nets(number).tolist(), terms, strict=True)
     tried.sort(key=lambda scored: -scored[0])
     likely = {_subject(chosen): chosen}
     for net, term in tried:
@@ -136,7 +136,7 @@ def _gains(lawful: Lawful, start: Lawful, ordered: Ordered) -> list[Gain]:
 
 def _rivals(start: Lawful) -> list[Index]:
     """Return the numbers of the terms of each family that may be the first of a law in some fold."""
-    nets = [start.state.nets_of_family(number) for number in range(len(start.library.terms))]
+    nets = [start.state.nets(number) for number in range(len(start.library.terms))]
     least = _RIVAL * max(float(net.max(initial=0.0)) for net in nets) - NEAR
     return [np.flatnonzero(net > least) for net in nets]
 

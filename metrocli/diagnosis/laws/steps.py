@@ -5,7 +5,6 @@ Method: docs/algorithms/laws.md.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -43,10 +42,6 @@ class Lawful:
     def terms(self) -> tuple[Term, ...]:
         """The terms, in the order in which they entered."""
         return tuple(term for term, _ in self.steps)
-
-    def columns(self, term: Term) -> Array:
-        """Return the whitened columns of one term, (rows, 1, factors)."""
-        return self.library.columns(term)[:, None]
 
     def plus(self, term: Term, part: Fixed) -> Lawful:
         """Return the state with one more term."""
@@ -123,7 +118,7 @@ def forward(lawful: Lawful, price: float, most: int = MOST_TERMS) -> Lawful:
     Each gains more than its price beside those before it, to which `price` is added. A scanned value is refined before
     the next term is sought, so that no term corrects the scan of another.
     """
-    budget = lawful.state.measurement.job.budget
+    library, budget = lawful.library, lawful.state.measurement.job.budget
     while len(lawful.steps) < most and lawful.state.freedoms > _LEAST_DOF and not budget.spent():
         tried = best_terms(lawful)
         if not tried or tried[0][0] < -NEAR:
@@ -131,7 +126,9 @@ def forward(lawful: Lawful, price: float, most: int = MOST_TERMS) -> Lawful:
         # a coarse scan can rank them wrongly: the nearest are compared at refined values
         near = [term for term in tried if term[0] > tried[0][0] - NEAR][:_MOST_REFINED]
         refined = [_refined(lawful, number, at) for _, number, at in near]
-        apart = [lawful.plus(*both) for both in refined if are_apart(lawful, both[0], lawful.columns(both[0]))]
+        apart = [
+            lawful.plus(*both) for both in refined if are_apart(lawful, both[0], library.columns(both[0])[:, None])
+        ]
         best = max(apart, key=lambda term: term.state.score, default=lawful)
         if best is lawful or best.state.score < lawful.state.score + price:
             break
@@ -147,7 +144,7 @@ def best_terms(lawful: Lawful) -> list[tuple[float, int, int]]:
     place = lawful.terms[0].place if lawful.terms else None
     best: dict[tuple[int, str, Where, str], tuple[float, int, int]] = {}
     for number, terms in enumerate(lawful.library.terms):
-        net = lawful.state.nets_of_family(number)
+        net = lawful.state.nets(number)
         for at in np.argsort(-net, kind="stable").tolist():
             if not np.isfinite(net[at]):
                 break
@@ -209,8 +206,3 @@ def are_apart(lawful: Lawful, term: Term, columns: Array) -> Mask:
     flat = columns.reshape(n, k * q)
     left = lawful.state.seen(flat) - LITTLE * lawful.state.minus(alike).seen(flat)
     return np.asarray((flat * left).reshape(n, k, q).sum(axis=(0, 2)) >= 0)
-
-
-def columns_of_terms(library: Library, terms: Sequence[Term]) -> np.ndarray:
-    """Return the whitened columns of terms side by side, (rows, factors)."""
-    return np.concatenate([library.columns(term) for term in terms], axis=1)

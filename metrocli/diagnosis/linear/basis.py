@@ -115,13 +115,9 @@ class Basis:
 
     def absorbed_of(self, columns: Columns) -> Array:
         """Return `g' b b' g` of columns (rows, k), dense or sparse, (k, k)."""
-        if not isinstance(columns, np.ndarray):
-            return self.gram_of(columns)
-        inside = self.coordinates(columns)
-        return np.asarray(inside.T @ inside)
-
-    def gram_of(self, columns: csr_matrix) -> Array:
-        """Return `g' b b' g` of sparse columns (rows, k), (k, k): the products that the unknowns absorb."""
+        if isinstance(columns, np.ndarray):
+            inside = self.coordinates(columns)
+            return np.asarray(inside.T @ inside)
         shared = columns.T @ self.shared
         gram = shared @ shared.T
         for rows, local_columns in self._by_whole_members:

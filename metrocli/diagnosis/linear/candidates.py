@@ -15,6 +15,7 @@ from metrocli.diagnosis.linear.column_parts import OwnColumns, StepColumns
 from metrocli.diagnosis.linear.columns import CandidateColumns
 from metrocli.diagnosis.linear.projection import Linearised
 from metrocli.diagnosis.linear.scans import any_apart, is_filled, sketch_vectors
+from metrocli.diagnosis.linear.signatures import scan
 from metrocli.effects.effect import Effect
 from metrocli.frozen import dataclass
 
@@ -47,6 +48,11 @@ class Candidate:
         """Cause, place and form (by time, by temperature), without the values of scanned parameters."""
         return *self.spot, self.effect.by
 
+    def signature(self, system: Linearised) -> Array:
+        """Return its whitened columns, (rows, parameters)."""
+        full, _, _ = next(scan(system, self.effect, [self.instance], [dict(self.scanned)]))
+        return full
+
     def like(self, other: Candidate) -> bool:
         """Return whether it differs from another alternative in the values of scanned parameters at most."""
         return (self.form, self.parameters, self.named) == (other.form, other.parameters, other.named)
@@ -76,6 +82,11 @@ class CandidateGroup:
     """Covariate of a family whose cause is not known; "" for effects"""
     whole: Mapping[int, OwnColumns | StepColumns] = field(default_factory=dict)
     """Whole signatures of the alternatives whose columns are their visible parts"""
+
+    @property
+    def effect(self) -> Effect:
+        """The effect of its first alternative; others may be other forms of it."""
+        return self.alternatives[0].effect
 
     @property
     def form(self) -> tuple[str, int, int]:

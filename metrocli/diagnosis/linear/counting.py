@@ -15,9 +15,7 @@ import numpy as np
 
 from metrocli.adjust.decompositions import orthonormalised
 from metrocli.adjust.model.blocks import Array
-from metrocli.adjust.model.observations import Mask
 from metrocli.diagnosis.linear.candidates import CandidateGroup
-from metrocli.diagnosis.linear.columns import CandidateColumns
 from metrocli.diagnosis.linear.distributions import log_tail
 from metrocli.diagnosis.linear.projection import VISIBLE, Linearised
 from metrocli.diagnosis.linear.quadratics import ranks_of, roots
@@ -30,18 +28,11 @@ _LOST = 0.05
 """Largest share of the candidates that these members may not show"""
 
 
-def smallest_of_family(
-    columns: CandidateColumns, gram: Array, scale: Array, noise: Array, squares: Array, dof: float
-) -> Array:
+def smallest_of_family(family: CandidateGroup, noise: Array, squares: Array, dof: float) -> Array:
     """Return ln of the smallest p-value of a family's alternatives for each draw of noise, (draws,)."""
-    return smallest_in_noise(gram, columns.products(noise), scale, squares, dof, np.ones(columns.count, dtype=bool))
-
-
-def smallest_in_noise(gram: Array, right: Array, scale: Array, squares: Array, dof: float, chosen: Mask) -> Array:
-    """Return ln of the smallest p-value of all alternatives for each draw of noise."""
-    root = roots(gram, scale)
-    gain = ((np.swapaxes(root, 1, 2) @ right) ** 2).sum(axis=1)
-    rank = np.where(chosen, ranks_of(root), 0)
+    root = roots(family.gram, family.raw)
+    gain = ((np.swapaxes(root, 1, 2) @ family.columns.products(noise)) ** 2).sum(axis=1)
+    rank = ranks_of(root)
     best = np.zeros(len(squares))
     # alternatives of different rank have different tails: their smallest p is compared, and not the squares
     for q in np.unique(rank[rank > 0]):
@@ -90,4 +81,4 @@ def of_some_members(
         fewer.append(replace(family, columns=columns, raw=raw, gram=gram))
     if lost > _LOST * sum(family.columns.count for family in families):
         return system, families
-    return replace(system, residual=np.zeros(len(rows)), basis=own, scale=system.scale[rows], idle=0), fewer
+    return replace(system, residual=np.zeros(len(rows)), basis=own, scale=system.scale[rows]), fewer

@@ -192,7 +192,7 @@ def _columns(
     if effect.is_step:
         yield from _steps(job, system, effect, places)
         return
-    for scanned, (full, block, chosen) in scanned_columns(job.model, system, effect, places):
+    for scanned, (full, block, chosen) in scanned_columns(system, effect, places):
         for place, names, own in of_places(job.model, block, chosen, places):
             changed = OwnColumns.of(full, own, system.same_rows)
             if len(changed.rows) >= job.fewest:
@@ -213,7 +213,7 @@ def _steps(
     if not tried:
         return
     # the course of all steps of a place: it acts from the earliest reading on
-    full, block, chosen = next(scan(job.model, system, effect, places, [{name: float(np.nanmin(times))}]))
+    full, block, chosen = next(scan(system, effect, places, [{name: float(np.nanmin(times))}]))
     courses = []
     for place, names, own in of_places(job.model, block, chosen, places):
         course = Course.of(OwnColumns.of(full, own), times)

@@ -9,7 +9,7 @@ Method: docs/algorithms/what-can-be-seen.md.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import field
 from functools import cached_property
 
@@ -56,8 +56,6 @@ class Linearised:
     """Standard deviation of each row in the unit of its reading, (rows,)"""
     sizes: Array
     """Norm of J's column of each unknown, (unknowns,)"""
-    idle: int = 0
-    """Number of rows that are left out; they are zero everywhere"""
     unweighted: Linearised | None = None
     """The system before its rows were multiplied by weights; None if it is this one"""
     runs: dict[str, ChainValues] = field(default_factory=dict, compare=False, repr=False)
@@ -83,20 +81,12 @@ class Linearised:
     def dof(self) -> int:
         """Degrees of freedom, the trace of M."""
         # the trace is a whole number but for rounding: each direction counts as one
-        return round(self.rows - self.idle - self.basis.trace)
-
-    @cached_property
-    def measured(self) -> Mask:
-        """The rows that are readings, not priors."""
-        mask = np.zeros(self.rows, dtype=bool)
-        for group in self.model.readings:
-            mask[self.stretch(group)] = True
-        return mask
+        return round(self.rows - self.basis.trace)
 
     @cached_property
     def typical_scale(self) -> float:
         """The median standard deviation of the rows that are readings."""
-        return float(np.median(self.scale[self.measured]))
+        return float(np.median(np.concatenate([self.scale[self.stretch(group)] for group in self.model.readings])))
 
     def stretch(self, group: Group) -> slice:
         """Return the rows of a group, which follow each other."""
@@ -112,15 +102,6 @@ class Linearised:
     def weights_of(self, group: Group) -> Array:
         """Return the factors of the rows of a group beside the noise that the group states, (rows of the group,)."""
         return np.asarray(group.observations.deviations.T.ravel() / self.scale[self.stretch(group)])
-
-    def of_several_groups(self) -> Iterator[tuple[str, Mask]]:
-        """Yield name and rows of each group of readings, if there are several, such as encoders and distances.
-
-        Groups of few readings, which show too little of their noise, are left out.
-        """
-        # a single group has no other to be compared with
-        groups = self.model.readings if self.model.readings[1:] else ()
-        yield from ((group.name, self.rows_of(group)) for group in groups if group.observations.count >= FEWEST)
 
     @cached_property
     def in_reported_unit(self) -> Mask:

@@ -15,7 +15,6 @@ from metrocli.adjust.model.observations import Mask
 from metrocli.diagnosis.linear.projection import Linearised
 from metrocli.diagnosis.linear.signatures import of_places, scan_with_values
 from metrocli.effects.effect import Effect
-from metrocli.effects.links.own import NoValueAtReadingError
 from metrocli.effects.model import Model
 
 _MOST_ELEMENTS, _FEWEST, _MOST = 20_000_000, 8, 1000
@@ -90,15 +89,15 @@ def is_filled(effect: Effect) -> bool:
 
 
 def scanned_columns(
-    model: Model, system: Linearised, effect: Effect, places: Sequence[tuple[str, ...]]
+    system: Linearised, effect: Effect, places: Sequence[tuple[str, ...]]
 ) -> Iterator[tuple[Mapping[str, float], tuple[Array, Block, Mask]]]:
     """Yield the scanned values with what `scan` yields, and values in between until neighbours' columns are alike.
 
     So a wave whose period lies between two values of a coarse scan is not missed.
     """
-    start = scans(model, effect, system.rows)
+    model, start = system.model, scans(system.model, effect, system.rows)
     if not is_filled(effect) or len(start) < 2:
-        yield from scan_with_values(model, system, effect, places, start)
+        yield from scan_with_values(system, effect, places, start)
         return
     parameter = effect.scanned[0]
     assert parameter.grid is not None
@@ -108,7 +107,7 @@ def scanned_columns(
     # (docs/decisions/130-dense-scans.md)
     wanted, left = start, most_tried(effect, system.rows) - len(start)
     while wanted:
-        for scanned, columns in _with_values(model, system, effect, places, wanted, first=wanted is start):
+        for scanned, columns in scan_with_values(system, effect, places, wanted, needed=wanted is start):
             full, block, chosen = columns
             products = seen.T @ full
             some = itertools.islice(of_places(model, block, chosen, places), _PLACES)
@@ -116,23 +115,6 @@ def scanned_columns(
             yield scanned, columns
         between = _between(sketches, grid)[: max(left, 0)]
         wanted, left = [{parameter.name: value} for value in between], left - len(between)
-
-
-def _with_values(
-    model: Model,
-    system: Linearised,
-    effect: Effect,
-    places: Sequence[tuple[str, ...]],
-    wanted: Sequence[Mapping[str, float]],
-    *,
-    first: bool,
-) -> Iterator[tuple[Mapping[str, float], tuple[Array, Block, Mask]]]:
-    """Yield what `scan_with_values` yields; that none in between has a value is not an error."""
-    try:
-        yield from scan_with_values(model, system, effect, places, wanted)
-    except NoValueAtReadingError:
-        if first:
-            raise
 
 
 def sketch_vectors(system: Linearised) -> Array:

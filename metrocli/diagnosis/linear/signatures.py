@@ -21,23 +21,15 @@ from metrocli.effects.links.own import NoValueAtReadingError
 from metrocli.effects.model import Model
 
 
-def signature(
-    model: Model, system: Linearised, effect: Effect, place: tuple[str, ...], scanned: Mapping[str, float]
-) -> Array:
-    """Return the whitened columns of an effect at one place, (rows, parameters)."""
-    full, _, _ = next(scan(model, system, effect, [place], [scanned]))
-    return full
-
-
-def nonlinearity(model: Model, system: Linearised, effect: Effect, scanned: Mapping[str, float], size: float) -> float:
+def nonlinearity(system: Linearised, effect: Effect, scanned: Mapping[str, float], size: float) -> float:
     """Return the second-order share of the visible change by an effect of one place, at a size of each parameter alone.
 
     `|M (f(s) + f(-s) - 2 f(0))| / |M (f(s) - f(-s))|`, f the whitened predictions; the largest over its parameters. It
     is infinite where a reading cannot be predicted at that size.
     """
-    extended = with_effect(model, effect, [()], scanned)
+    extended = with_effect(system.model, effect, [()], scanned)
     block = extended.blocks[extended.added[-1].block]
-    before = model.blocks.get(block.name)
+    before = system.model.blocks.get(block.name)
 
     def predicted(step: Array) -> Array:
         blocks = {**extended.blocks, block.name: block.moved(step)}
@@ -63,19 +55,15 @@ def nonlinearity(model: Model, system: Linearised, effect: Effect, scanned: Mapp
 
 
 def scan(
-    model: Model,
-    system: Linearised,
-    effect: Effect,
-    places: Sequence[tuple[str, ...]],
-    scans: Sequence[Mapping[str, float]],
+    system: Linearised, effect: Effect, places: Sequence[tuple[str, ...]], scans: Sequence[Mapping[str, float]]
 ) -> Iterator[tuple[Array, Block, Mask]]:
     """Yield for each set of scanned values the columns of an effect at some places, (rows, entries).
 
     Each comes with the block of the effect, and the entries that the model does not estimate yet, (members, size).
     """
-    extended = with_effect(model, effect, places, scans[0])
+    extended = with_effect(system.model, effect, places, scans[0])
     first = extended.blocks[extended.added[-1].block]
-    before = model.blocks.get(first.name)
+    before = system.model.blocks.get(first.name)
     chosen = first.free.copy()
     # entries that the model estimates already are not candidates
     if before is not None:
@@ -92,30 +80,30 @@ def scan(
 
 
 def scan_with_values(
-    model: Model,
     system: Linearised,
     effect: Effect,
     places: Sequence[tuple[str, ...]],
     scans: Sequence[Mapping[str, float]],
+    needed: bool = True,
 ) -> Iterator[tuple[Mapping[str, float], tuple[Array, Block, Mask]]]:
     """Yield the scanned values with what `scan` yields, without those at which an own effect has no value at a reading.
 
-    Raises NoValueAtReadingError if it has none at all of them.
+    Raises NoValueAtReadingError if it has none at all of them, unless these are not `needed`.
     """
     if not effect.definition:
-        yield from zip(scans, scan(model, system, effect, places, scans) if scans else (), strict=True)
+        yield from zip(scans, scan(system, effect, places, scans) if scans else (), strict=True)
         return
     without: NoValueAtReadingError | None = None
     count = 0
     for values in scans:
         try:
-            columns = next(scan(model, system, effect, places, [values]))
+            columns = next(scan(system, effect, places, [values]))
         except NoValueAtReadingError as error:
             without = error
             continue
         count += 1
         yield values, columns
-    if without is not None and not count:
+    if without is not None and needed and not count:
         raise without
 
 

@@ -12,13 +12,14 @@ import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.diagnosis.adjusted_job import AdjustedJob
-from metrocli.diagnosis.detectability import Detectability, DetectableCandidate
+from metrocli.diagnosis.detectability import Detectability
 from metrocli.diagnosis.findings import Diagnosis
 from metrocli.diagnosis.linear.candidates import Candidate
 from metrocli.diagnosis.linear.distributions import power
 from metrocli.diagnosis.next_readings.pool import KnownErrors, Pool, pool_of
 from metrocli.diagnosis.next_readings.proposals import Proposal, proposals
 from metrocli.diagnosis.next_readings.separation import chance_to_separate
+from metrocli.diagnosis.power.average_power import DetectableCandidate
 from metrocli.errors import UsageError
 from metrocli.frozen import dataclass
 from metrocli.words import suggestion

@@ -24,7 +24,6 @@ from metrocli.diagnosis.linear.candidates import Candidate
 from metrocli.diagnosis.linear.linearised import linearised
 from metrocli.diagnosis.linear.projection import Linearised
 from metrocli.diagnosis.linear.quadratics import roots
-from metrocli.diagnosis.linear.signatures import signature
 from metrocli.diagnosis.next_readings.proposals import Proposal, with_proposals
 from metrocli.diagnosis.noise import VarianceGroup, weights_of
 from metrocli.effects.extension import with_effect
@@ -95,16 +94,13 @@ class Pool:
         lower = np.linalg.cholesky(np.eye(len(rows)) + self.covariance[np.ix_(rows, rows)])
         across = np.linalg.solve(lower, self.covariance[rows])
         own = np.linalg.solve(lower, self.left[rows])
-        return Pool(
-            self.gram + own.T @ own,
-            self.right,
-            self.squares,
-            self.dof + len(rows),
-            self.raw,
-            self.left - across.T @ own,
-            self.covariance - across.T @ across,
-            self.rows,
-            np.concatenate([self.made, own]),
+        return replace(
+            self,
+            gram=self.gram + own.T @ own,
+            dof=self.dof + len(rows),
+            left=self.left - across.T @ own,
+            covariance=self.covariance - across.T @ across,
+            made=np.concatenate([self.made, own]),
         )
 
     def noncentrality(self, gram: Array, sizes: Array) -> Array:
@@ -133,8 +129,7 @@ def pool_of(
     old = {group.name: group.observations.count for group in job.model.groups}
     system = linearised(whole, _weights(job, proposed, known, old))
     rows, numbers = _rows_of(system, old, proposed)
-    columns = [signature(whole, system, effect.effect, effect.instance, dict(effect.scanned)) for effect in effects]
-    full = np.concatenate(columns, axis=1) / known.noise
+    full = np.concatenate([effect.signature(system) for effect in effects], axis=1) / known.noise
     first = full.copy()
     first[rows] = 0.0
     shown, inside = system.split(first)
@@ -157,13 +152,13 @@ def pool_of(
 
 def _weights(
     job: AdjustedJob, proposed: Sequence[Proposal], known: KnownErrors, old: Mapping[str, int]
-) -> dict[str, Array]:
+) -> Mapping[str, Array]:
     """Return factors on the whitened readings of each group: of noisier units, of wrong readings, and of proposals."""
     whole = replace(job, model=with_proposals(job.model, proposed))
-    weights = dict(weights_of(whole, known.units))
+    weights = weights_of(whole, known.units)
     for group in whole.model.readings:
         keys, count = group.observations.keys, group.observations.count
-        factor = weights.get(group.name, np.ones(count)).copy()
+        factor = weights[group.name]
         factor[old[group.name] :] *= _WEIGHT
         for wrong in known.wrong:
             names = {key: name for key, name in wrong.items() if key != "component"}
@@ -171,7 +166,6 @@ def _weights(
             if names.keys() <= keys.keys():
                 same = [np.asarray(keys[key]) == name for key, name in names.items()]
                 factor[np.all(same, axis=0) & (np.arange(count) < old[group.name])] *= _WEIGHT
-        weights[group.name] = factor
     return weights
 
 

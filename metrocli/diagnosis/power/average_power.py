@@ -14,6 +14,7 @@ from metrocli.adjust.model.blocks import Array
 from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.evidence.variances import scattered_effects
 from metrocli.diagnosis.hidden_change import UndetectedBias, hidden_by_scatter
+from metrocli.diagnosis.linear.candidates import Candidate
 from metrocli.diagnosis.linear.distributions import noncentrality, power
 from metrocli.effects.effect import Effect
 from metrocli.frozen import dataclass
@@ -108,6 +109,70 @@ def _curve(level: float, rank: int, rest: int) -> tuple[Array, Array]:
     """Return roots of non-centralities from 0 on, and the power at each."""
     roots = np.linspace(0.0, np.sqrt(noncentrality(level, rank, rest, _ALL)), _NODES)
     return roots, power(level, rank, rest, roots**2)
+
+
+@dataclass(frozen=True)
+class DetectableCandidate:
+    """What the measurement can detect of one form of a cause at one place."""
+
+    alternative: Candidate
+    family: int
+    number: int
+    """Number of its alternative of median visibility, if it was scanned"""
+    visible: float
+    """Fraction of the signature that the unknowns do not absorb"""
+    detectable: float
+    """Size that is found in 80 of 100 cases, over all directions of its parameters and all values of its scan.
+
+    It is counted over all that is tried; inf if nothing is visible.
+    """
+    undetected: UndetectedBias
+    """Largest change of the delivered result by an effect that is not found with 95 % power"""
+    assumed: float
+    """Largest size that `undetected` counts with: the largest usual one, or that found with 95 % power if larger"""
+    absorbed_by: tuple[str, ...]
+    missed: bool = False
+    """Whether its scan is too coarse for the readings, so that a form between two of its values can be missed"""
+    upper: float = 0.0
+    """Upper bound (97.5 %) of its size beside all that was found"""
+    share: float = 1.0
+    """Share of what the unknowns leave of it that random parts and other effects leave, too"""
+    required: bool = False
+    """Whether its evidence would name it, which held-out readings did not confirm"""
+    by_law: bool = False
+    """Whether a law that was found stands for it"""
+    nonlinear: bool = False
+    """Whether its change is not linear up to the size that would be excluded, so that none is"""
+
+    @property
+    def absorbers(self) -> str:
+        """The unknowns that absorb it, in words."""
+        return ", ".join(self.absorbed_by) or "the unknowns"
+
+    @property
+    def testable(self) -> bool:
+        """Whether any part of it is visible."""
+        return bool(np.isfinite(self.detectable))
+
+    @property
+    def plausible(self) -> float:
+        """Largest usual size of the effect."""
+        return self.alternative.effect.plausible
+
+    @property
+    def unit(self) -> str:
+        """Of its size."""
+        return self.alternative.effect.parameters[0].unit
+
+    @property
+    def dimension(self) -> str:
+        """Of its size."""
+        return self.alternative.effect.parameters[0].dimension
+
+    @property
+    def name(self) -> str:
+        """Cause, form and place in words."""
+        return self.alternative.words
 
 
 @dataclass(frozen=True)

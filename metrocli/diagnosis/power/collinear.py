@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterable, Sequence
-from typing import Protocol
 
 import numpy as np
 
@@ -18,8 +17,7 @@ from metrocli.diagnosis.linear.basis import thin_together
 from metrocli.diagnosis.linear.candidates import Candidate
 from metrocli.diagnosis.linear.linearised import linearised
 from metrocli.diagnosis.linear.projection import Linearised
-from metrocli.diagnosis.linear.signatures import signature
-from metrocli.diagnosis.power.average_power import size_separated
+from metrocli.diagnosis.power.average_power import DetectableCandidate, size_separated
 from metrocli.frozen import dataclass
 
 _COLLINEAR = 0.9
@@ -34,25 +32,6 @@ _HELPS = 0.98
 """Correlation above which a further measurement does not help enough to be reported"""
 _SEPARATED = 0.95
 """Probability with which the right one of two names is chosen, over all directions of its parameters"""
-
-
-class ComparedCandidate(Protocol):
-    """One form of a cause at one place."""
-
-    @property
-    def alternative(self) -> Candidate: ...
-    @property
-    def family(self) -> int: ...
-    @property
-    def number(self) -> int: ...
-    @property
-    def testable(self) -> bool: ...
-    @property
-    def name(self) -> str: ...
-    @property
-    def unit(self) -> str: ...
-    @property
-    def dimension(self) -> str: ...
 
 
 @dataclass(frozen=True)
@@ -73,7 +52,7 @@ class Pair:
         return self.correlation > _SAME
 
 
-def pairs_of(state: State, candidates: Sequence[ComparedCandidate], noise: float) -> Iterable[Pair]:
+def pairs_of(state: State, candidates: Sequence[DetectableCandidate], noise: float) -> Iterable[Pair]:
     """Yield the pairs of testable candidates of different causes or places that correlate by more than 0.9."""
     testable = [candidate for candidate in candidates if candidate.testable]
     ends = np.cumsum([0, *(state.measurement.families[candidate.family].columns.parameters for candidate in testable)])
@@ -92,7 +71,7 @@ def pairs_of(state: State, candidates: Sequence[ComparedCandidate], noise: float
                 yield Pair(other.name, testable[j].name, min(rho, 1.0), size, other.unit, other.dimension)
 
 
-def _visible_products(state: State, candidates: Sequence[ComparedCandidate]) -> Array:
+def _visible_products(state: State, candidates: Sequence[DetectableCandidate]) -> Array:
     """Return the products of the visible columns of candidates, each at its own place."""
     m = state.measurement
     keys = tuple((candidate.family, candidate.number) for candidate in candidates)
@@ -130,9 +109,7 @@ def separations(job: AdjustedJob, pairs: Sequence[tuple[Candidate, Candidate]]) 
 
 def _cosine(system: Linearised, candidate: Candidate, other: Candidate) -> float:
     """Return the largest cosine between the visible columns of two candidates."""
-    columns = [
-        system.seen(signature(system.model, system, a.effect, a.instance, dict(a.scanned))) for a in (candidate, other)
-    ]
+    columns = [system.seen(each.signature(system)) for each in (candidate, other)]
     turns = [_unit(its.T @ its) for its in columns]
     return float(np.linalg.norm(turns[0].T @ (columns[0].T @ columns[1]) @ turns[1], 2))
 

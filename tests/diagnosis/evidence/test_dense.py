@@ -39,7 +39,7 @@ def measurement(kind: str) -> Measurement:
 
 
 def number_of(m: Measurement, name: str, by: str) -> int:
-    return next(i for i, one in enumerate(m.knots) if (one.functions.name, one.functions.by) == (name, by))
+    return next(i for i, one in enumerate(m.knots) if (one.name, one.by) == (name, by))
 
 
 def number_of_effect(m: Measurement, name: str) -> int:
@@ -109,7 +109,7 @@ def test_the_likelihood_is_the_restricted_one(kind: str) -> None:
     bare = float(m.system.residual @ projected(v, j) @ m.system.residual)
     full = projected(v, np.concatenate([j, *(one.columns for one in fixed)], axis=1))
     prior = m.squares - float(m.system.residual @ m.system.residual)
-    assert state.given.squares == pytest.approx(bare + prior, rel=1e-9)
+    assert state.bare_squares == pytest.approx(bare + prior, rel=1e-9)
     assert state.fit.squares == pytest.approx(float(m.system.residual @ full @ m.system.residual) + prior, rel=1e-9)
     log_det = np.linalg.slogdet(v)[1] + np.linalg.slogdet(j.T @ np.linalg.solve(v, j))[1]
     assert state.fit.log_det == pytest.approx(log_det, rel=1e-9)
@@ -205,7 +205,7 @@ def test_held_out_readings_have_the_density_of_the_others(kind: str) -> None:
         p = projected(v[np.ix_(kept, kept)], turn[:, :rank])
         extra = m.squares - float(m.system.residual @ m.system.residual)
         squares = float(m.system.residual[kept] @ p @ m.system.residual[kept]) + extra * prior
-        dof = len(kept) - rank + 2.0 - m.system.idle
+        dof = len(kept) - rank + 2.0
         det = np.linalg.slogdet(v[np.ix_(kept, kept)])[1]
         seen = own @ np.linalg.svd(own)[2][:rank].T
         det += np.linalg.slogdet(seen.T @ np.linalg.solve(v[np.ix_(kept, kept)], seen))[1]

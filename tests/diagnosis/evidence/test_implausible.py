@@ -14,7 +14,7 @@ from metrocli.diagnosis.evidence.measured_job import measurement_of
 from metrocli.diagnosis.evidence.measurement import Measurement
 from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.findings import Unconfirmed
-from metrocli.diagnosis.status import Status, reason, reason_of_scatter, status, status_of_scatter
+from metrocli.diagnosis.status import Status, reason, reason_of_scatter, status
 from tests.diagnosis.evidence.test_dense import number_of_effect, with_residual
 
 
@@ -99,9 +99,9 @@ def test_what_the_evidence_would_name_is_not_excluded() -> None:
     drawn = with_residual(m, rng.normal(size=m.system.rows) + m.effect(skew, 0).columns[:, 0] * 8)
     # as if held-out images had spoken against it, or against what stood for it
     seen = {one.name: one for one in design(State.of(drawn)).candidates}
-    assert status(seen["axis-skew"], ()) == "not-decided"
+    assert status(seen["axis-skew"]) == "not-decided"
     assert "held-out readings" in reason(seen["axis-skew"], "not-decided")
-    assert status(seen["target-plane-bend"], ()) in ("excluded", "cannot-see")
+    assert status(seen["target-plane-bend"]) in ("excluded", "cannot-see")
 
 
 def test_what_speaks_against_an_effect_is_stated_as_it_is() -> None:
@@ -119,5 +119,5 @@ def test_a_shape_that_the_evidence_would_name_is_not_excluded() -> None:
         shift = size * columns @ rng.normal(size=columns.shape[1]) / np.linalg.norm(columns, axis=0).max()
         drawn = with_residual(m, rng.normal(size=m.system.rows) + shift)
         (scatter,) = (one for one in design(State.of(drawn)).scatters if one.effect.name == "lens-shape")
-        assert status_of_scatter(scatter, ()) == word
+        assert status(scatter) == word
         assert ("held-out readings" in reason_of_scatter(scatter, word)) == bool(size)

@@ -47,7 +47,7 @@ def test_two_waves_of_one_period_do_not_stand_together() -> None:
     assert term.form.scanned is not None
     for factor, apart in ((1.001, False), (0.7, True)):
         other = term.at(factor * term.form.scanned)
-        assert are_apart(first, other, first.columns(other)).tolist() == [apart]
+        assert are_apart(first, other, first.library.columns(other)[:, None]).tolist() == [apart]
 
 
 def test_later_terms_are_those_of_the_place_and_no_others() -> None:

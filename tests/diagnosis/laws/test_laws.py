@@ -117,7 +117,7 @@ def test_what_settles_is_no_jump_although_it_is_much_like_one() -> None:
     near = ("dead-path-jump", ("T2",))
     assert near in [effect.spot for effect, _ in settled.law.near]
     # what a law stands for is not excluded
-    assert {status(one, ()) for one in settled.design.candidates if one.alternative.spot == near} == {"not-decided"}
+    assert {status(one) for one in settled.design.candidates if one.alternative.spot == near} == {"not-decided"}
 
 
 def test_a_column_of_the_data_keeps_its_name_beside_those_of_a_law(found: Diagnosis) -> None:

@@ -84,7 +84,7 @@ def test_displacements_and_angles_of_one_reading_are_of_two_units() -> None:
     angle = np.tile([False] * 3 + [True] * 3, group.observations.count)
     assert job.reading == ("um", "length")
     assert (system.in_reported_unit[system.rows_of(group)] == ~angle).all() and not system.in_reported_unit[
-        ~system.measured
+        ~system.rows_of(group)
     ].any()
     functions = next(process_bases(job, system))
     scale = system.scale[system.rows_of(group)]

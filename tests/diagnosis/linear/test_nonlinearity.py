@@ -22,11 +22,11 @@ def test_a_tilted_sensor_beside_decentring_is_not_excluded(seed: int) -> None:
     design = what_can_be_seen(job)
     bent = [candidate for candidate in design.candidates if candidate.nonlinear]
     assert [candidate.alternative.effect.name for candidate in bent] == ["sensor-tilt"]
-    assert status(bent[0], ()) == Status.CANNOT_SEE
+    assert status(bent[0]) == Status.CANNOT_SEE
     assert reason(bent[0], Status.CANNOT_SEE).startswith("not linear at sizes such as")
     others = [one for one in design.candidates if one.testable and not one.alternative.instance and one not in bent]
     system = measurement_of(job).system
     for alternative, size in [(one.alternative, min(one.detectable, one.plausible)) for one in others]:
-        assert nonlinearity(job.model, system, alternative.effect, dict(alternative.scanned), size) < BENT / 2
-    linear = {candidate.alternative.effect.name: status(candidate, ()) for candidate in design.candidates}
+        assert nonlinearity(system, alternative.effect, dict(alternative.scanned), size) < BENT / 2
+    linear = {candidate.alternative.effect.name: status(candidate) for candidate in design.candidates}
     assert linear["stretched-targets"] == linear["target-plane-bend"] == Status.EXCLUDED

@@ -10,6 +10,7 @@ import pytest
 from benchmarks.hidden_effects import KINDS
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.linear import signatures
+from metrocli.diagnosis.linear.candidates import Candidate
 from metrocli.diagnosis.linear.families import instances
 from metrocli.diagnosis.linear.linearised import linearised
 from metrocli.diagnosis.linear.projection import scatter
@@ -35,8 +36,8 @@ def test_columns_are_those_of_the_whole_chain(kind: str, monkeypatch: pytest.Mon
         if anew:
             monkeypatch.setattr(signatures, "columns_by_splicing", lambda *_: None)
         for key, (effect, place) in places.items():
-            scanned = {parameter.name: 3.0 for parameter in effect.scanned}
-            columns = signatures.signature(adjusted.model, system, effect, place, scanned)
+            scanned = tuple((parameter.name, 3.0) for parameter in effect.scanned)
+            columns = Candidate(effect, place, scanned).signature(system)
             if not anew:
                 fast[key] = columns
             else:

@@ -21,7 +21,6 @@ from metrocli.diagnosis.diagnose import diagnose
 from metrocli.diagnosis.findings import Diagnosis
 from metrocli.diagnosis.linear.candidates import Candidate, NotTested
 from metrocli.diagnosis.linear.linearised import linearised
-from metrocli.diagnosis.linear.signatures import signature
 from metrocli.diagnosis.next_readings.choice import Next, next_readings, revealing
 from metrocli.diagnosis.next_readings.pool import KnownErrors, Pool, pool_of
 from metrocli.diagnosis.next_readings.proposals import Proposal, proposals, with_proposals
@@ -242,7 +241,7 @@ def test_gains_are_those_of_the_adjustment_with_the_readings_in_it() -> None:
     ):
         model = with_proposals(job.model, [proposed[i] for i in made])
         system = linearised(model)
-        seen = system.seen(signature(model, system, effect, (), {})[:, 0] * sizes)
+        seen = system.seen(Candidate(effect, ()).signature(system)[:, 0] * sizes)
         assert pool.noncentrality(gram[None], sizes)[0] == pytest.approx(float(seen @ seen), rel=1e-5)
 
 

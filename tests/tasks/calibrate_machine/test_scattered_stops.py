@@ -26,7 +26,7 @@ def made(seed: int, scatter: float, count: int = 80, alone: bool = False) -> sto
 
 
 def row_of(job: AdjustedJob) -> dict[str, Any]:
-    (row,) = (one for one in candidates(job, what_can_be_seen(job), []) if one["name"] == "repeatability")
+    (row,) = (one for one in candidates(job, what_can_be_seen(job)) if one["name"] == "repeatability")
     return row
 
 

@@ -81,6 +81,6 @@ def test_a_flat_board_cannot_show_it_and_the_change_that_it_can_hide_is_stated()
     uv = scene.predicted(scene.start(), {}) + rng.normal(0, scene.noise, (len(scene.view), 2))
     candidates = what_can_be_seen(Images(scene, uv).adjusted()).candidates
     (one,) = (one for one in candidates if one.alternative.effect.name == "perspective-blur")
-    assert status(one, ()) == Status.CANNOT_SEE
+    assert status(one) == Status.CANNOT_SEE
     assert one.detectable > 10 * one.plausible
     assert one.undetected is not None and one.undetected.size > 0
