@@ -102,7 +102,7 @@ def until_clean(
         # the laws with which the job cannot be adjusted are none
         law = None if extended is None else extended.law
         gained = replace(gained, laws=() if law is None else (law,))
-        if not _adds(gained):
+        if extended is None or not _adds(gained):
             path.unlink(missing_ok=True)
             return Loop(first, last, tuple(extensions), End.NOTHING_GAINED)
         current = load(path, JobOptions(accept_doubtful=job.accept_doubtful))

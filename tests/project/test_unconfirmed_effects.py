@@ -28,8 +28,12 @@ def test_what_predicts_held_out_readings_worse_is_not_written(tmp_path: Path) ->
     assert write_extended(job, worse) is None
     written = write_extended(job, diagnosis)
     assert written is not None and "dead-path-jump" in written.path.read_text(encoding="utf-8")
+    # without a solution with the named effect, what has it would fail
+    assert write_extended(job, replace(diagnosis, adjusts=False)) is None
+    assert until_clean(job, lambda _: replace(diagnosis, adjusts=False)).end is End.NOTHING_GAINED
 
 
+@pytest.mark.slow
 def test_a_job_that_fails_is_not_proposed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Lengths of two digits determine no point within the noise that they have."""
     folder = tmp_path / "hall"
