@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from metrocli.cli.commands import run
+from metrocli.cli.diagnosis_report.headline import summary
 from metrocli.diagnosis.findings import Verdict
 from metrocli.errors import UndeterminedError
 from metrocli.project import diagnosed
@@ -25,6 +26,9 @@ def test_what_predicts_held_out_readings_worse_is_not_written(tmp_path: Path) ->
     assert diagnosis.verdict is Verdict.EXPLAINED
     worse = replace(diagnosis, findings=(replace(finding, gain=replace(finding.gain, log_score=-0.1)),))
     assert worse.verdict is Verdict.INDISTINCT
+    # the density of held-out readings gains, but their errors grow by 7 %
+    larger = replace(diagnosis, findings=(replace(finding, gain=replace(finding.gain, ratio=1.07)),))
+    assert larger.verdict is Verdict.INDISTINCT and "explain" not in "".join(summary(larger))
     assert write_extended(job, worse) is None
     written = write_extended(job, diagnosis)
     assert written is not None and "dead-path-jump" in written.path.read_text(encoding="utf-8")
