@@ -12,7 +12,7 @@ import click
 from metrocli.cli import options
 from metrocli.cli.console import Console, echo, echo_json
 from metrocli.cli.shell.signals import first_interrupt
-from metrocli.errors import InputError, UsageError
+from metrocli.errors import InputError, NoSolutionError, UsageError
 from metrocli.project import DIAGNOSIS
 from metrocli.record import NOT_MET
 from metrocli.tasks import KINDS
@@ -142,8 +142,8 @@ def _extended(job: JobFile, diagnosis: Diagnosis, out: Path | None, force: bool)
 
     try:
         return diagnosed.write_extended(job, diagnosis, out, force)
-    except InputError as error:
-        if out is not None:
+    except (InputError, NoSolutionError) as error:
+        if out is not None and isinstance(error, InputError):
             raise
         echo(f"warning: no extended job was written: {error}", err=True)
         return None

@@ -234,4 +234,6 @@ class Diagnosis:
             return Verdict.CLEAN if self.left is None or self.left.declared else Verdict.EXPLAINED
         instead = [finding.instead for finding in self.findings] + [scatter.rivals for scatter in self.scatters]
         confirmed = self.scatters or any(finding.confirmed for finding in self.findings)
-        return Verdict.INDISTINCT if any(instead) or not confirmed else Verdict.EXPLAINED
+        # what predicts readings worse than the job without it explains nothing, however much evidence it has
+        explains = confirmed and (self.gain is None or self.gain.explains)
+        return Verdict.INDISTINCT if any(instead) or not explains else Verdict.EXPLAINED

@@ -12,7 +12,7 @@ from fractions import Fraction
 from functools import lru_cache
 
 from metrocli import units
-from metrocli.expressions.expression import NAME, NEGATIVE, NUMBER, OF_ANGLES, Expression, ExpressionError, Operation
+from metrocli.expressions.expression import NEGATIVE, NUMBER, OF_ANGLES, Expression, ExpressionError, Operation
 from metrocli.frozen import dataclass
 
 Powers = tuple[tuple[str, Fraction], ...]
@@ -38,12 +38,49 @@ class Compound:
         return not self.powers
 
 
-def angles(expression: Expression) -> Iterator[tuple[Operation, str]]:
-    """Yield each sine, cosine or tangent of a name alone, whatever its sign, with that name."""
-    unsigned = [part for part in expression.parts if part.operation != NEGATIVE]
-    for part, before in zip(unsigned[1:], unsigned, strict=False):
-        if part.operation in OF_ANGLES and before.operation == NAME:
-            yield part, before.name
+_LEAST_FACTOR = 0.1
+"""Least factor of a name in an angle: a smaller one, as 0.01745, is that of a unit"""
+
+
+def angles(expression: Expression) -> Iterator[tuple[Operation, str, float]]:
+    """Yield each sine, cosine or tangent of a multiple of one name, with that name and the multiple.
+
+    What has pi in it, as `sin(b*pi/180)`, is no plain number of another unit.
+    """
+    found: list[tuple[Operation, str, float]] = []
+    expression.carried_out(_Multiples(expression, found))
+    yield from found
+
+
+@dataclass(frozen=True)
+class _Multiples:
+    """Multiples of names, each as its name and the factor; a number has no name, and another value no such pair."""
+
+    expression: Expression
+    found: list[tuple[Operation, str, float]]
+    """Angles that are such multiples"""
+
+    def number(self, value: float) -> tuple[str, float] | None:
+        return "", value
+
+    def name(self, part: Operation) -> tuple[str, float] | None:
+        return part.name, 1.0
+
+    def apply(self, part: Operation, arguments: Sequence[tuple[str, float] | None]) -> tuple[str, float] | None:
+        first, second = arguments[0], arguments[-1]
+        if first is None or second is None:
+            return None
+        (name, factor), (other, by) = first, second
+        if part.operation == NEGATIVE:
+            return name, -factor
+        if part.operation == "*" and not (name and other):
+            return name or other, factor * by
+        if part.operation == "/" and not other and by:
+            return name, factor / by
+        plain = "pi" not in re.findall(r"\w+", self.expression.source(part))
+        if part.operation in OF_ANGLES and name and plain and abs(factor) >= _LEAST_FACTOR:
+            self.found.append((part, name, factor))
+        return None
 
 
 @lru_cache(1024)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Callable, Sequence
-from contextlib import suppress
+from contextlib import nullcontext
 from dataclasses import replace
 from itertools import count
 from pathlib import Path
@@ -145,24 +145,33 @@ def write_extended(
 
     `result` is the output of that job, by default `NAME.extended.h5` beside the output of this one. Structure that is
     left stands in it as correlated errors, as a law with `cause: unknown` (the chosen one, or the next simpler one with
-    which the job can be adjusted), or as structured noise. Returns None if nothing changes. In another folder, its
-    paths lead to the same files. Parameters that the readings do not determine separately are 0. Raises InputError if
-    the file there is no extended job or was edited since, unless forced, and if it is an input.
+    which the job can be adjusted), or as structured noise. Returns None if nothing changes, or if the report states
+    that the job cannot be adjusted with the named effects. In another folder, its paths lead to the same files.
+    Parameters that the readings do not determine separately are 0. Raises InputError if the file there is no extended
+    job or was edited since, unless forced, and if it is an input. Raises NoSolutionError if the job cannot be adjusted
+    with what was found, such as a noise so large that nothing is determined.
     """
     path = path or job.file.with_name(f"{job.stem}.extended.yaml")
     stated = proposed_noise(diagnosis) or proposed_correlated(diagnosis) or _correction(diagnosis)
     # a file that is wrong is mended first: its places are as noisy as the mistake makes them
     noisy = diagnosis.mistaken is None and proposed_variances(diagnosis)
     others = bool(stated or noisy or diagnosis.scatters or any(one.confirmed for one in diagnosis.findings))
-    if not others and diagnosis.law is None:
+    # the job with the named effects has no solution; a mistake is mended all the same
+    unsolved = diagnosis.mistaken is None and not diagnosis.adjusts
+    if unsolved or (not others and diagnosis.law is None):
         return None
     refuse_inputs([path], (*job.stated_in, *job.files))
     _refuse_foreign(path, force)
+    why = None
     for law in (*_from_the_chosen(diagnosis), *([None] if others else [])):
         _write(job, diagnosis, law, (path, result))
-        if law is None or _adjusts(path):
+        # where a file is to be mended first, the job without a law fails until then
+        why = None if law is None and diagnosis.mistaken is not None else _refusal(path, law)
+        if why is None:
             return Extended(path, law)
     path.unlink(missing_ok=True)
+    if others and why is not None:
+        raise type(why)(f"the job cannot be adjusted with what was found: {why}", why.misfit)
     return None
 
 
@@ -173,13 +182,18 @@ def _from_the_chosen(diagnosis: Diagnosis) -> Sequence[Law]:
     return [*([] if chosen is None else [chosen]), *sorted(simpler, key=lambda law: len(law.terms), reverse=True)]
 
 
-def _adjusts(path: Path) -> bool:
-    """Return whether an extended job can be adjusted: a law in the linearised readings need not hold in the model."""
+def _refusal(path: Path, law: Law | None) -> NoSolutionError | None:
+    """Return why an extended job cannot be adjusted; None if it can.
+
+    A law in the linearised readings need not hold in the model, and noise that was found there need not leave any.
+    """
     job = load(path, JobOptions(accept_doubtful=True))
-    with suppress(NotConvergedError, UndeterminedError), allowance(_STEPS):
-        adjusted_job_of(job)
-        return True
-    return False
+    try:
+        with nullcontext() if law is None else allowance(_STEPS):
+            adjusted_job_of(job)
+    except (NotConvergedError, UndeterminedError) as error:
+        return error
+    return None
 
 
 def _write(job: JobFile, diagnosis: Diagnosis, law: Law | None, place: tuple[Path, Path | None]) -> None:

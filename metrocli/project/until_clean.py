@@ -13,6 +13,7 @@ from metrocli.diagnosis.evidence.gain import Gain
 from metrocli.diagnosis.extended_fit import result_change
 from metrocli.diagnosis.findings import Diagnosis, Verdict
 from metrocli.diagnosis.laws.definition import written
+from metrocli.errors import NoSolutionError
 from metrocli.frozen import dataclass
 from metrocli.progress import SILENT, Progress
 from metrocli.project import runner
@@ -94,11 +95,14 @@ def until_clean(
         path = job.file.with_name(f"{job.stem}.step{number}.yaml")
         result = job.output.with_name(f"{job.output.stem}.step{number}.h5")
         simpler = tuple(law for law in last.laws if law.gain.shown) if gained.laws else ()
-        extended = write_extended(current, replace(gained, laws=simpler), path, force, result)
+        try:
+            extended = write_extended(current, replace(gained, laws=simpler), path, force, result)
+        except NoSolutionError:
+            return Loop(first, last, tuple(extensions), End.NOTHING_GAINED)
         # the laws with which the job cannot be adjusted are none
         law = None if extended is None else extended.law
         gained = replace(gained, laws=() if law is None else (law,))
-        if not _adds(gained):
+        if extended is None or not _adds(gained):
             path.unlink(missing_ok=True)
             return Loop(first, last, tuple(extensions), End.NOTHING_GAINED)
         current = load(path, JobOptions(accept_doubtful=job.accept_doubtful))

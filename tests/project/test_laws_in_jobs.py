@@ -9,6 +9,7 @@ import pytest
 from metrocli.cli.commands import run
 from metrocli.cli.diagnosis_report.findings import of_diagnosis
 from metrocli.diagnosis.findings import Diagnosis
+from metrocli.errors import UndeterminedError
 from metrocli.project import diagnosed
 from metrocli.project.diagnosed import carry_out, write_extended
 from metrocli.project.job import JobFile, load
@@ -53,7 +54,8 @@ def test_where_the_job_cannot_be_adjusted_with_it_the_simpler_one_does(hall: Job
 def test_a_job_without_the_law_is_not_said_to_contain_it(
     hall: JobFile, found: Diagnosis, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(diagnosed, "_adjusts", lambda path: False)
+    refused = UndeterminedError("the law is not determined")
+    monkeypatch.setattr(diagnosed, "_refusal", lambda path, law: None if law is None else refused)
     written = write_extended(hall, found, force=True)
     assert written is None or (written.law is None and "define" not in written.path.read_text())
     assert "No extended job contains it." in report(found, written)

@@ -10,11 +10,11 @@ from metrocli import units
 from metrocli.adjust.clusters.robust import STRUCTURED
 from metrocli.cli.columns import text_table
 from metrocli.cli.diagnosis_report.candidates import candidate_lines, count_of_candidates
-from metrocli.cli.diagnosis_report.headline import LEAST_REDUCTION, headline, noise_lines, smooth, summary
+from metrocli.cli.diagnosis_report.headline import headline, noise_lines, smooth, summary
 from metrocli.cli.diagnosis_report.laws import law_lines
 from metrocli.diagnosis.adjusted_job import REPORTED, AdjustedJob, MemberSubset
 from metrocli.diagnosis.detectability import Detectability
-from metrocli.diagnosis.evidence.gain import Gain
+from metrocli.diagnosis.evidence.gain import LEAST_CHANGE, Gain
 from metrocli.diagnosis.evidence.refined import STARTS
 from metrocli.diagnosis.extended_fit import EffectSize
 from metrocli.diagnosis.findings import Diagnosis, Finding, RandomEffect
@@ -268,7 +268,7 @@ def _row(finding: Finding, adjusted: AdjustedJob) -> tuple[str, ...]:
 
 def _reduction(gain: Gain) -> str:
     """Return the change of held-out errors; the log score may gain where it is too small to be stated in percent."""
-    change = "unchanged" if abs(gain.reduction) < LEAST_REDUCTION else f"{-100 * gain.reduction:+.0f} %"
+    change = "unchanged" if abs(gain.reduction) < LEAST_CHANGE else f"{-100 * gain.reduction:+.0f} %"
     return change if gain.shown else f"{change} (not shown)"
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from metrocli import units
 from metrocli.adjust.clusters.robust import ESTIMATED, STRUCTURED
 from metrocli.diagnosis.correlated_error import CorrelatedError
+from metrocli.diagnosis.evidence.gain import LEAST_CHANGE
 from metrocli.diagnosis.evidence.prices import LEVEL
 from metrocli.diagnosis.findings import Diagnosis, Finding
 from metrocli.diagnosis.linear.projection import READING
@@ -16,8 +17,6 @@ from metrocli.diagnosis.noise import AS_OTHERS, DECLARED_SIGMA, VarianceGroup
 from metrocli.words import in_a_row, listed
 
 _SHOWN, _MOST_GROUPS = 6, 2
-LEAST_REDUCTION = 0.005
-"""Least share of the held-out errors that is shown as a change"""
 
 
 def headline(diagnosis: Diagnosis) -> str:
@@ -54,14 +53,14 @@ def summary(diagnosis: Diagnosis) -> Iterator[str]:
         readings = f"{out} readings" if out > 1 else "the reading"
         yield f"  without {readings} that `outliers: remove` leaves out (table rejected of the result)"
     gain = diagnosis.gain
-    if gain is None or gain.log_score <= 0:
+    if gain is None or not gain.explains:
         return
     names = [
         str(effect.effect.alternative) if isinstance(effect, Finding) else f"{effect.effect.name} everywhere"
         for effect in diagnosis.identified
-        if effect.gain.log_score > 0
+        if effect.gain.explains
     ]
-    explained = f"{100 * gain.explained:.0f} %" if gain.explained > LEAST_REDUCTION else "little"
+    explained = f"{100 * gain.explained:.0f} %" if gain.explained > LEAST_CHANGE else "little"
     verb, remains = "explain" if len(names) > 1 else "explains", ""
     rest = [error for error in diagnosis.correlated_errors if error.is_in_unit_of(diagnosis.job.reading[1])]
     if rest:

@@ -17,6 +17,8 @@ PREDICTED = 100.0
 
 A reading beyond it, which the others hardly determine, shows no gain and is left out of the errors.
 """
+LEAST_CHANGE = 0.005
+"""Least share of the held-out errors that is shown as a change"""
 
 
 @dataclass(frozen=True)
@@ -43,6 +45,11 @@ class Gain:
     def shown(self) -> bool:
         """Whether the gain exceeds twice its standard error."""
         return self.log_score > 2 * self.log_score_std
+
+    @property
+    def explains(self) -> bool:
+        """Whether the density of held-out readings gains, and their errors do not grow."""
+        return self.log_score > 0 and self.reduction >= -LEAST_CHANGE
 
     @property
     def reduction(self) -> float:

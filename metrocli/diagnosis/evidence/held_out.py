@@ -172,8 +172,11 @@ class Others:
                 spared[m.rows_of(part.number)] = True
         if self.fold.whole:
             # predicted but for the local unknowns, and the errors of single members, which only these rows show
-            errors = self.without.shared[:, -1] - self.without.shared[:, self.columns] @ self.fit.sizes
-            shares, variances = 1 - (basis.local[rows] ** 2).sum(axis=1), np.ones(len(rows))
+            x = self.without.shared[:, self.columns]
+            errors = self.without.shared[:, -1] - x @ self.fit.sizes
+            shares = 1 - (basis.local[rows] ** 2).sum(axis=1)
+            # three images hardly determine the lens with which a fourth is predicted
+            variances = 1 + (solved(self.fit.lower, x.T) ** 2).sum(axis=0)
         else:
             errors, shares, variances = self.without.predicted(self.fit, self.columns)
         scale, kept = np.where(m.system.in_reported_unit, m.system.scale, np.nan)[rows], ~spared[rows]

@@ -62,10 +62,11 @@ def _solved(job: Job[Settings, Files]) -> tuple[AdjustedMachine, float]:
     """Return the solved calibration, and how many times the declared noise its readings have."""
     settings, files = job.settings, job.files
     model, remove = settings.noise.model, settings.outliers == "remove"
-    if files.path is not None and files.track is not None:
-        return weighed(model, measurement(settings, files.path, files.track, job.effects), on_the_fly)
     stuck = stuck_channels(settings, files)
     with naming(stuck):
+        if files.path is not None and files.track is not None:
+            solved, factor = weighed(model, measurement(settings, files.path, files.track, job.effects), on_the_fly)
+            return replace(solved, problem=replace(solved.problem, stuck=stuck)), factor
         problem = problem_of(job).with_effects(job.effects)
         solved, factor = weighed(model, replace(problem, stuck=stuck), lambda problem: solve(problem, remove))
     return solved, factor

@@ -208,9 +208,9 @@ class _Collector:
             hint = suggestion(part.name if point and prefix in self.settings.inputs.results else prefix, known)
             hint = hint if known else "name the result under `inputs: {results: {NAME: FILE.h5}}`"
             self.faults.append(model.fault(ExpressionError(message, part.start, hint)))
-        for part, name in dimensions.angles(model.expression):
+        for part, name, factor in dimensions.angles(model.expression):
             angle = self.quantities.get(name)
-            if angle is not None and angle.unit.text == "1" and abs(angle.value) > 2 * math.pi:
+            if angle is not None and angle.unit.text == "1" and min(abs(factor), 1) * abs(angle.value) > 2 * math.pi:
                 message = f"{part.operation} takes radians, and {name} = {angle.value:g} is more than a turn"
                 hint = f"give {name} its unit: {angle.value:g} deg for degrees, {angle.value:g} rad for radians"
                 self.faults.append(model.fault(ExpressionError(message, part.start, hint)))

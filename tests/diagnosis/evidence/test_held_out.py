@@ -7,8 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.hidden import images
+from benchmarks.hidden.scenes import board_scene
 from metrocli.cli.commands import run
+from metrocli.diagnosis.evidence.held_out import Others
+from metrocli.diagnosis.evidence.measured_job import measurement_of
 from metrocli.diagnosis.evidence.reweighted import _hidden_directions, directions_without
+from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.linear.basis import Basis
 from metrocli.diagnosis.rounds import searched
 from metrocli.project.diagnosed import adjusted_job_of
@@ -43,6 +48,18 @@ def test_directions_that_no_other_reading_shows_are_those_of_the_singular_values
         own = vectors[values**2 > 100]
         found = _hidden_directions(inside, 100.0)
         np.testing.assert_allclose(found @ found.T, own.T @ own, atol=1e-9)
+
+
+def test_an_image_is_predicted_with_the_uncertainty_of_the_lens_of_the_others() -> None:
+    """Where two of three images hardly determine the lens, what they predict of the third shows no gain."""
+    rng = np.random.default_rng(5)
+    m = measurement_of(images.read(board_scene(rng, 3, (5, 4)), rng).adjusted())
+    others, shared = Others.of_fold(State.of(m), 0), m.system.basis.shared
+    held = others.fold.mask
+    assert others.fold.whole
+    inverse = np.linalg.inv(shared[~held].T @ shared[~held])
+    variances = others.predicted().variances
+    np.testing.assert_allclose(variances, 1 + np.einsum("rp,pq,rq->r", shared[held], inverse, shared[held]), rtol=1e-6)
 
 
 def test_a_term_of_a_lens_is_chosen_anew_about_another_solution(tmp_path: Path) -> None:

@@ -118,6 +118,12 @@ def test_half_of_a_list_in_inches_is_named(rows: slice) -> None:
     assert "give all rows of the list in one unit" in text and "elsewhere" not in text
 
 
+def test_half_of_a_list_in_another_frame_has_its_list_checked() -> None:
+    """Lens and poses were not found, and nothing pointed to the list."""
+    text = words(listed_otherwise(1.0, 35.0, slice(60, None)))
+    assert "places of all rows of their list in one frame" in text
+
+
 def test_a_target_that_spoils_all_images_a_little_is_doubted() -> None:
     """It was done, with k1 off by five standard uncertainties."""
     text = "readings of T30 in 8 of 8 images contradict the place that is listed"

@@ -573,7 +573,7 @@ def test_where_slopes_are_zero_the_second_order_stays(
     assert ("U = 0 lacks what higher orders change" in ran.out + ran.err) == (value > 0)
 
 
-@pytest.mark.parametrize("model", ["a*sin(b)", "a*cos(-b)"])
+@pytest.mark.parametrize("model", ["a*sin(b)", "a*cos(-b)", "a*sin(2*b)", "a*tan(-b/2)", "a*(1 + cos(b*3))"])
 def test_a_plain_number_above_a_turn_is_no_angle(model: str, tmp_path: Path, metrocli: Metrocli) -> None:
     """`sin(30)` was refused, and the same 30 as a quantity was taken for radians without a word."""
     job, quantities = tmp_path / "job.yaml", "quantities: {a: {value: 2 mm, std: 1 um}, b: {value: %s, std: 0.01}}"
@@ -586,3 +586,11 @@ def test_a_plain_number_above_a_turn_is_no_angle(model: str, tmp_path: Path, met
         codes.append(ran.code)
         assert ("b = 30 is more than a turn" in ran.err and "30 deg for degrees" in ran.err) == (value == "30"), ran.err
     assert codes == [3, 0, 0, 0]
+
+
+@pytest.mark.parametrize("model", ["a*sin(b*pi/180)", "a*sin(0.01745*b)", "a*sin(b/100)", "a*sin(2*pi*b)"])
+def test_what_turns_a_plain_number_into_radians_is_an_angle(model: str, tmp_path: Path, metrocli: Metrocli) -> None:
+    quantities = "quantities: {a: {value: 2 mm, std: 1 um}, b: {value: 400, std: 0.01}}"
+    measurands = f"measurands: {{y: {{model: {model}, unit: mm}}}}"
+    (job := tmp_path / "job.yaml").write_text(f"metrocli: 1\njob: report-uncertainty\n{quantities}\n{measurands}\n")
+    assert metrocli("check", job).code == 0

@@ -189,7 +189,8 @@ def not_found(problem: CameraProblem, images: Group, residuals: Array) -> list[s
     strange = strange_images(problem, images, None if all_are_off else residuals)
     if all_are_off and not strange:
         network = problem.rig == "network"
-        closer = "closer places of the targets, or their right names" if network else "the right names of targets"
+        one_frame = "the right names of targets, places of all rows of their list in one frame"
+        closer = "closer places of the targets, or their right names" if network else one_frame
         return [
             f"half of the image points are off by more than {typical:.3g} px ({100 * typical / most:.2g} % of the "
             "image): lens and poses were not found, or the lens model lacks distortion; "
