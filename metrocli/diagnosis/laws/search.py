@@ -18,11 +18,11 @@ from metrocli.diagnosis.evidence.gain import FoldPrediction, Gain, gain_of
 from metrocli.diagnosis.evidence.held_out import Others, fold_numbers
 from metrocli.diagnosis.evidence.parts import Fixed
 from metrocli.diagnosis.evidence.prices import ALIKE, Prices
+from metrocli.diagnosis.evidence.search import without_weak_fixed
 from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.laws.law import Law, law_of
 from metrocli.diagnosis.laws.library import Library, Term
 from metrocli.diagnosis.laws.steps import NEAR, Lawful, among_terms, forward
-from metrocli.diagnosis.linear.candidates import Candidate
 from metrocli.frozen import dataclass
 
 _LAW = float(np.log(30.0))
@@ -68,7 +68,9 @@ def with_laws(state: State, plain: State, ordered: Ordered = map) -> tuple[State
     as_likely = _as_likely(start, lawful.terms[0])
     terms = [part for _, part in lawful.steps[: len(chosen.terms)]]
     found = State.of(base.measurement, (*base.fixed, *terms), base.random, base.logs, 0)
-    found, replaced = _with_those_beside(found, state)
+    found = _with_those_beside(found, state)
+    kept = {part.key for part in found.fixed}
+    replaced = tuple(m.alternative(part.key) for part in state.named if part.key not in kept)
     laws = tuple(
         replace(law, chosen=law is chosen, as_likely=() if count else as_likely, replaced=replaced)
         for count, law in enumerate(simpler)
@@ -76,20 +78,16 @@ def with_laws(state: State, plain: State, ordered: Ordered = map) -> tuple[State
     return found, laws
 
 
-def _with_those_beside(found: State, state: State) -> tuple[State, tuple[Candidate, ...]]:
-    """Return a state with a law and the effects of another state that pay beside it, and those that it replaces.
+def _with_those_beside(found: State, state: State) -> State:
+    """Return a state with a law, the effects of another state that pay beside it, and no wrong readings that do not.
 
-    In the white noise in which a law is sought, what pays beside it may not.
+    In the white noise in which a law is sought, what pays beside it may not; what seemed wrong without it may be right.
     """
-    m, replaced = found.measurement, list[Candidate]()
     kept = {part.key for part in found.fixed}
     for key in (part.key for part in state.named if part.key not in kept):
-        more = found.plus([m.effect(*key)]).settled()
-        if more.score > found.score:
-            found = more
-        else:
-            replaced.append(m.alternative(key))
-    return found, tuple(replaced)
+        more = found.plus([found.measurement.effect(*key)]).settled()
+        found = max(found, more, key=lambda trial: trial.score)
+    return without_weak_fixed(found)
 
 
 def stood_for(laws: Sequence[Law]) -> set[tuple[str, tuple[str, ...]]]:

@@ -67,3 +67,14 @@ def test_later_terms_are_those_of_the_place_and_no_others() -> None:
         )
         assert np.array_equal(some.gram, family.gram[chosen])
     assert compared > 50
+
+
+def test_a_reading_that_seems_wrong_without_a_law_is_right_beside_it() -> None:
+    m = measurement_of(waved(2, 0.003, 3.0))
+    plain = State.of(m)
+    gain, price, _ = plain.gains_of_readings()
+    reading = m.reading(int(np.argmax(gain - price)))
+    start = among_terms(plain, Library(m.job, m.system))
+    assert start is not None and plain.plus([reading]).score > plain.score
+    ((_, law),) = forward(start, 0.0, most=1).steps
+    assert search._with_those_beside(State.of(m, (reading, law)), plain).fixed == (law,)
