@@ -69,12 +69,16 @@ def test_later_terms_are_those_of_the_place_and_no_others() -> None:
     assert compared > 50
 
 
-def test_a_reading_that_seems_wrong_without_a_law_is_right_beside_it() -> None:
-    m = measurement_of(waved(2, 0.003, 3.0))
+def test_a_wrong_reading_that_does_not_pay_beside_a_law_goes_and_one_that_does_stays() -> None:
+    """A search that sees no law yet takes readings for wrong that it explains."""
+    job = waved(2, 0.003, 3.0)
+    m = measurement_of(job)
     plain = State.of(m)
-    gain, price, _ = plain.gains_of_readings()
-    reading = m.reading(int(np.argmax(gain - price)))
     start = among_terms(plain, Library(m.job, m.system))
-    assert start is not None and plain.plus([reading]).score > plain.score
+    assert start is not None
     ((_, law),) = forward(start, 0.0, most=1).steps
-    assert search._with_those_beside(State.of(m, (reading, law)), plain).fixed == (law,)
+    gain, _, _ = plain.gains_of_readings()
+    innocent, wrong = m.reading(int(np.argsort(gain)[len(gain) // 2])), m.reading(7)
+    spoilt = replace(m, system=replace(m.system, residual=m.system.residual + 20 * m.system.seen(wrong.columns[:, 0])))
+    found = State.of(spoilt, (innocent, wrong, law))
+    assert search._with_those_beside(found, State.of(spoilt)).fixed == (wrong, law)
