@@ -26,13 +26,16 @@ from metrocli.diagnosis.evidence.prices import gain_of_columns
 from metrocli.diagnosis.evidence.reweighted import Reweighted, directions_without
 from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.linear.projection import VISIBLE
-from metrocli.diagnosis.linear.quadratics import quadratic, solved
+from metrocli.diagnosis.linear.quadratics import factored, quadratic, solved
 from metrocli.frozen import dataclass
 
 _MOST_HELD = 2_000_000
 """Numbers of the products without a fold that are kept"""
 _SHOWN = 1e-9
 """Share of the squares of a column below which those before it say all of it"""
+
+_HARDLY = 1e-4
+"""The same share, of columns with whose uncertainty readings are predicted"""
 
 
 def fold_numbers(m: Measurement) -> list[int]:
@@ -176,7 +179,7 @@ class Others:
             errors = self.without.shared[:, -1] - x @ self.fit.sizes
             shares = 1 - (basis.local[rows] ** 2).sum(axis=1)
             # three images hardly determine the lens with which a fourth is predicted
-            variances = 1 + (solved(self.fit.lower, x.T) ** 2).sum(axis=0)
+            variances = 1 + _variances(self.fit, x)
         else:
             errors, shares, variances = self.without.predicted(self.fit, self.columns)
         scale, kept = np.where(m.system.in_reported_unit, m.system.scale, np.nan)[rows], ~spared[rows]
@@ -238,6 +241,23 @@ class Others:
 def _is_seen(fit: Fit) -> Mask:
     """Return whether the readings of a fit tell each shared column from those before it."""
     return np.asarray(np.diag(fit.lower) ** 2 > _SHOWN * np.diag(fit.products.gram))
+
+
+def _variances(fit: Fit, columns: Array) -> Array:
+    """Return the variances of rows x (n, p) of the shared columns with Gram matrix M, without what its readings miss.
+
+    They are `z'M z` with `z = (M + d)^-1 x`. That of a direction of the eigenvalue l is 1/l where l is much larger than
+    d. It is nothing where l is rounding, as for the errors of a held-out image whose deviation the job states.
+    """
+    from scipy.linalg.lapack import dtrtrs
+
+    # those of unknowns have the length 1 over all readings, and one that these do not show is nearly 0 here
+    least = _HARDLY * np.maximum(np.diag(fit.products.gram), 1.0)
+    if (np.diag(fit.lower) ** 2 > least).all():
+        return np.asarray((solved(fit.lower, columns.T) ** 2).sum(axis=0))
+    lower = factored(fit.lower @ fit.lower.T, least)
+    z = np.asarray(dtrtrs(lower.T, solved(lower, columns.T))[0])
+    return np.asarray(((fit.lower.T @ z) ** 2).sum(axis=0))
 
 
 def _unseen_parts(fit: Fit, ranks: Sequence[int]) -> list[int]:

@@ -10,7 +10,8 @@ import numpy as np
 from benchmarks.hidden import images
 from benchmarks.hidden.scenes import board_scene
 from metrocli.cli.commands import run
-from metrocli.diagnosis.evidence.held_out import Others
+from metrocli.diagnosis.evidence.held_out import Others, _variances
+from metrocli.diagnosis.evidence.likelihood import Products, fit_at
 from metrocli.diagnosis.evidence.measured_job import measurement_of
 from metrocli.diagnosis.evidence.reweighted import _hidden_directions, directions_without
 from metrocli.diagnosis.evidence.state import State
@@ -60,6 +61,18 @@ def test_an_image_is_predicted_with_the_uncertainty_of_the_lens_of_the_others() 
     inverse = np.linalg.inv(shared[~held].T @ shared[~held])
     variances = others.predicted().variances
     np.testing.assert_allclose(variances, 1 + np.einsum("rp,pq,rq->r", shared[held], inverse, shared[held]), rtol=1e-6)
+
+
+def test_what_no_other_reading_shows_is_no_uncertainty_of_a_prediction() -> None:
+    """Such are the errors of a held-out image, of which the job states the deviation: their prior leaves with them."""
+    rng = np.random.default_rng(6)
+    vectors, rows = np.linalg.qr(rng.normal(size=(8, 8)))[0], rng.normal(size=(4, 8))
+    for hidden in (1e-11, 1e-14):
+        values = np.array([hidden, hidden, 0.05, 0.3, 0.5, 0.8, 0.9, 1.0])
+        gram, none = (vectors * values) @ vectors.T, np.full(8, -1)
+        products = Products(gram, np.zeros(8), 1.0, 20.0, 8, none, none[:0], np.zeros((0, 0, 0)), np.zeros((0, 0, 9)))
+        shown = (rows @ vectors)[:, 2:] ** 2 @ (1 / values[2:])
+        np.testing.assert_allclose(_variances(fit_at(products, np.zeros(0)), rows), shown, rtol=1e-2)
 
 
 def test_a_term_of_a_lens_is_chosen_anew_about_another_solution(tmp_path: Path) -> None:
