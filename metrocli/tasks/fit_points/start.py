@@ -15,6 +15,8 @@ _MOST = 60
 """Points up to which exchanged names are sought"""
 _MIRRORED = 10.0
 """A mirror image is refused that makes the deviations so many times smaller"""
+RIGID = 6
+"""Unknowns of a transformation without a scale"""
 _BETTER = 100.0
 """An exchange of two names is named if it makes the squared deviations so many times smaller"""
 
@@ -72,6 +74,19 @@ def mirrored(points: Array, goals: Array, names: Sequence[str], scaled: bool, st
             raise InputError(f"points {first} and {second} are exchanged at station {station}, or before it: {so}")
         raise InputError(f"points {first} and {second} are exchanged in one of the lists: {so}")
     return other
+
+
+def turned(points: Array, pose: Array, scale: float, unknowns: int) -> tuple[Array, Array]:
+    """Return points after the transformation (n, 3), and their derivatives by its steps (n, 3, 6 or 7)."""
+    turned = scale * points @ poses.rotation_of(pose).T
+    slope = np.zeros((len(turned), 3, unknowns))
+    slope[:, :, :3] = np.eye(3)
+    x, y, z = turned.T
+    slope[:, 0, 4], slope[:, 0, 5], slope[:, 1, 3] = z, -y, -z
+    slope[:, 1, 5], slope[:, 2, 3], slope[:, 2, 4] = x, y, -x
+    if unknowns > RIGID:
+        slope[:, :, RIGID] = turned / scale
+    return turned + pose[:3], slope
 
 
 def aligned_start(points: Array, nominal: Array, scaled: bool) -> tuple[Array, float]:
