@@ -149,8 +149,8 @@ def variance_component(
 
     Raises UndeterminedError if there are no more readings than unknowns; `instead` is what to do then.
     """
-    redundancy = np.concatenate([residuals.redundancy.ravel() for residuals in groups])
-    w = np.concatenate([residuals.normalised.ravel() for residuals in groups])
+    redundancy = np.concatenate([np.zeros(0), *(residuals.redundancy.ravel() for residuals in groups)])
+    w = np.concatenate([np.zeros(0), *(residuals.normalised.ravel() for residuals in groups)])
     if not redundancy.sum() > _CONTROLLED:
         raise UndeterminedError(
             "noise: the residuals do not show its size: there are no more readings than unknowns; "
