@@ -142,17 +142,19 @@ def worst_of(suspects: Suspects) -> Index:
     return np.flatnonzero(suspects.tests >= suspects.tests.max(initial=0.0) / 2)
 
 
-def variance_component(groups: Sequence[Residuals]) -> float:
+def variance_component(
+    groups: Sequence[Residuals], instead: str = "leave out `model`, so that the noise is as declared"
+) -> float:
     """Return how many times the declared noise readings have, `sqrt(v'Pv / sum r)` with their redundancy numbers r.
 
-    Raises UndeterminedError if there are no more readings than unknowns.
+    Raises UndeterminedError if there are no more readings than unknowns; `instead` is what to do then.
     """
-    redundancy = np.concatenate([residuals.redundancy.ravel() for residuals in groups])
-    w = np.concatenate([residuals.normalised.ravel() for residuals in groups])
+    redundancy = np.concatenate([np.zeros(0), *(residuals.redundancy.ravel() for residuals in groups)])
+    w = np.concatenate([np.zeros(0), *(residuals.normalised.ravel() for residuals in groups)])
     if not redundancy.sum() > _CONTROLLED:
         raise UndeterminedError(
             "noise: the residuals do not show its size: there are no more readings than unknowns; "
-            "measure more, or leave out `model`, so that the noise is as declared"
+            f"measure more, or {instead}"
         )
     size = float(np.sqrt((redundancy * w**2).sum() / redundancy.sum()))
     # residuals without any noise, as of simulated readings, show no size: the declared noise stays

@@ -47,6 +47,8 @@ class Meeting:
     """dp / d(phi3), (n, 3)"""
     by_distance: Array
     """dp / dl, (n, 3)"""
+    by_receiver: Array
+    """dp / dr, (n, 3, 3), of which the last index is that of r"""
 
 
 def across(towards: Array) -> Array:
@@ -72,7 +74,7 @@ def lines(beams: Beams) -> Meeting:
     place = inverse @ np.einsum("nij,nj->i", square, beams.receiver)
     length = np.einsum("ni,ni->n", towards, place - beams.receiver)
     by_base, by_tilt = (turn * length[:, None] @ inverse for turn in _turns(beams))
-    return Meeting(place, by_base, by_tilt, np.zeros_like(towards))
+    return Meeting(place, by_base, by_tilt, np.zeros_like(towards), inverse @ square)
 
 
 def closed_loop(beams: Beams) -> Meeting:
@@ -86,7 +88,8 @@ def closed_loop(beams: Beams) -> Meeting:
     towards = beams.towards
     place = (beams.receiver + length[:, None] * towards)[has].mean(axis=0)
     by_base, by_tilt = (turn * length[:, None] / n for turn in _turns(beams))
-    return Meeting(place, by_base, by_tilt, np.where(has[:, None], towards, 0.0) / n)
+    by_receiver = np.where(has[:, None, None], np.eye(3), 0.0) / n
+    return Meeting(place, by_base, by_tilt, np.where(has[:, None], towards, 0.0) / n, by_receiver)
 
 
 def nearest(beams: Beams) -> Array:

@@ -23,7 +23,7 @@ from metrocli.instruments import tracer as t
 from metrocli.instruments.tracker import AZIMUTH, DISTANCE, ELEVATION, FACE, PolarReading
 from metrocli.tasks.adjust_network import KIND
 from metrocli.tasks.adjust_network.effects import EFFECTS, MOVED, NO_MIRROR, NO_TIMES, STEERING
-from metrocli.tasks.adjust_network.groups import BARS, GIVEN_POINTS, is_sighting
+from metrocli.tasks.adjust_network.groups import GIVEN_POINTS, is_certified, is_sighting
 from metrocli.tasks.adjust_network.solve import AdjustedNetwork, refitted
 from metrocli.tasks.shared.diagnosed import FOLDS, in_time
 from metrocli.tasks.shared.lists import unless_without_noise
@@ -56,9 +56,7 @@ def adjusted_job(solved: AdjustedNetwork) -> AdjustedJob:
         list_offset=solved.list_offset,
         left_out=len(solved.rejected),
         fewest=1,
-        certified=frozenset(
-            reading.name for reading in model.readings if reading.name.startswith((BARS, GIVEN_POINTS))
-        ),
+        certified=frozenset(reading.name for reading in model.readings if is_certified(reading.name)),
         not_sought={STEERING: NO_MIRROR} | ({} if timed else {MOVED: NO_TIMES}),
         variations=_variations,
         noticed=(*network.readings.warnings, *unless_without_noise(network.readings.stuck, solved.solution.sigma0)),

@@ -50,6 +50,14 @@ ROW = "row"
 """Index of the readings: their row in the file"""
 
 
+def is_certified(name: str) -> bool:
+    """Return whether a group of this name has what a certificate or a list states: bars and given points.
+
+    The noise of the instruments is not theirs: residuals that show its size do not change them.
+    """
+    return name.startswith((BARS, GIVEN_POINTS))
+
+
 def is_sighting(group: Group) -> bool:
     """Return whether a group has sightings of trackers or total stations."""
     return ROW in group.observations.index

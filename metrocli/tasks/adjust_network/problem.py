@@ -58,7 +58,7 @@ class Network(Modelled):
         """Return the network with a factor on the declared noise of its readings."""
         groups = []
         for group in self.model.groups:
-            if group.name in self.model.measured:
+            if group.name in self.model.measured and not g.is_certified(group.name):
                 given = group.observations.conditions
                 whole = {**given, n.FACTOR: given.get(n.FACTOR, np.ones(group.observations.count)) * factor}
                 group = group.with_noise_times(factor)

@@ -20,7 +20,7 @@ from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.instruments import stations as s
 from metrocli.instruments import tracer as t
-from metrocli.tasks.adjust_network.groups import LENGTHS, ROW, is_sighting
+from metrocli.tasks.adjust_network.groups import LENGTHS, ROW, is_certified, is_sighting
 from metrocli.tasks.adjust_network.noise import component
 from metrocli.tasks.adjust_network.problem import FREEDOMS, Network, must_be_held
 from metrocli.tasks.adjust_network.settings import Settings
@@ -67,8 +67,8 @@ class AdjustedNetwork:
 
     @property
     def read(self) -> tuple[Residuals, ...]:
-        """The residuals of all readings."""
-        return tuple(self.residuals.values())
+        """The residuals of all readings that have the noise of the job."""
+        return tuple(one for name, one in self.residuals.items() if not is_certified(name))
 
     @property
     def groups(self) -> tuple[Group, ...]:

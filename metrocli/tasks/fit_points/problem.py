@@ -82,6 +82,8 @@ class PointPairs:
     """Whether the first station is the frame"""
     start: tuple[Array, Array] = field(default_factory=lambda: (np.zeros((1, 6)), np.ones(1)))
     """Pose and scale of each station, (stations, 6) and (stations,)"""
+    found: float = 0.0
+    """The noise that the residuals of a round before showed [mm]; 0 in the first"""
 
     @property
     def full(self) -> Index:
@@ -176,15 +178,36 @@ class PointPairs:
         return float(np.ptp(self.measured, axis=0).max()) or 1.0
 
     @property
+    def rows(self) -> Index:
+        """Rows of the measured points in their list."""
+        place = {name: row for row, name in enumerate(self.list.texts("point"))}
+        return np.array([place[name] for name in self.names], dtype=np.intp)
+
+    @property
+    def joint(self) -> bool:
+        """Whether points of a list have errors in common."""
+        return self.spread.joint is not None or (self.places is not None and self.places.spread.joint is not None)
+
+    @property
+    def bare(self) -> Mask:
+        """Which coordinates have no standard uncertainty in either list, (n, 3)."""
+        return np.asarray(~(self.nominal_sigma > 0) & ~self._own & np.isfinite(self.nominal))
+
+    @property
     def estimated(self) -> bool:
         """Whether a noise is estimated: where it is asked for and some coordinate has no standard uncertainty."""
-        bare = ~(self.nominal_sigma > 0) & ~self._own & np.isfinite(self.nominal)
-        return self.noise == ESTIMATED and bool(bare.any())
+        return self.noise == ESTIMATED and bool(self.bare.any())
+
+    @property
+    def weighed(self) -> bool:
+        """Whether the size of an estimated noise is also a weight, against the standard uncertainties of the lists."""
+        listed_places = self.places is not None and bool((self.places.spread.sigma > 0).any())
+        return self.estimated and (bool((self._own | (self.nominal_sigma > 0)).any()) or listed_places)
 
     @property
     def start_noise(self) -> float:
-        """A noise to begin with where it is estimated: a thousandth of the extent [mm]."""
-        return 1e-3 * self.extent
+        """The noise of an adjustment that estimates it, in the first round a thousandth of the extent [mm]."""
+        return self.found or 1e-3 * self.extent
 
     @property
     def rounding(self) -> float:

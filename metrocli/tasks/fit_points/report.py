@@ -20,6 +20,7 @@ from metrocli.tasks.fit_points import KIND
 from metrocli.tasks.fit_points.effects import SCALE
 from metrocli.tasks.fit_points.features import FeaturePoints, FittedFeatures, fitted_features
 from metrocli.tasks.fit_points.problem import POSE, PointPairs
+from metrocli.tasks.fit_points.start import RIGID, turned
 from metrocli.tasks.fit_points.tested import Tested, tested
 from metrocli.tasks.shared.features.requested import RequestedFeature
 from metrocli.tasks.shared.rounding import without_rounding
@@ -28,8 +29,6 @@ from metrocli.words import listed
 
 _NOTABLE = 0.95
 """A mirror image is named that has so many times the deviations or fewer"""
-_RIGID = 6
-"""Unknowns of a transformation without a scale"""
 
 
 def report(
@@ -48,10 +47,12 @@ def report(
     pose, scale = solution.blocks[POSE].values[0], 1.0 + float(solution.blocks[SCALE].values[0, 0])
     scaled = bool(solution.blocks[SCALE].free.any())
     covariance = solution.joint((POSE, *((SCALE,) if scaled else ()), *free_blocks(added)))
-    own = _RIGID + scaled
-    moved, std = _moved(problem, (pose, scale), covariance[:own, :own], factor)
+    own = RIGID + scaled
+    # with effects, or with errors that points have in common, both are taken as independent: so they are not too small
+    tied = not (added or problem.joint)
+    moved, std = _moved(problem, (pose, scale), covariance[:own, :own], tied)
     moved = without_rounding(moved, rounding)
-    laid = _laid_features(problem, wanted, (pose, scale), covariance[:own, :own], factor)
+    laid = _laid_features(problem, wanted, (pose, scale), covariance[:own, :own], tied)
     off = without_rounding(moved - problem.nominal, rounding)
     change = np.eye(len(covariance))
     change[:6, :6] = poses.euler_form_by_step(pose)
@@ -96,45 +97,64 @@ def report(
         shown=(ShownTable("points"),),
         notes=tuple(notes(problem, test, size, mirrored)),
     )
-    return result if laid is None else laid.added_to(result, covariance[:own] @ change.T)
+    shared = covariance[:own] @ change.T
+    return result if laid is None else laid.added_to(result, np.concatenate([shared, -shared]))
 
 
-def _turned(points: Array, pose: Array, scale: float, unknowns: int) -> tuple[Array, Array]:
-    """Return points after the transformation (n, 3), and their derivatives by its steps (n, 3, 6 or 7)."""
-    turned = scale * points @ poses.rotation_of(pose).T
-    slope = np.zeros((len(turned), 3, unknowns))
-    slope[:, :, :3] = np.eye(3)
-    x, y, z = turned.T
-    slope[:, 0, 4], slope[:, 0, 5], slope[:, 1, 3] = z, -y, -z
-    slope[:, 1, 5], slope[:, 2, 3], slope[:, 2, 4] = x, y, -x
-    if unknowns > _RIGID:
-        slope[:, :, _RIGID] = turned / scale
-    return turned + pose[:3], slope
-
-
-def _moved(problem: PointPairs, at: tuple[Array, float], covariance: Array, factor: float) -> tuple[Array, Array]:
+def _moved(problem: PointPairs, at: tuple[Array, float], covariance: Array, tied: bool) -> tuple[Array, Array]:
     """Return the measured points after the transformation (n, 3), and their standard uncertainties.
 
     These are of the transformation at the point, and of the point itself where its list gives one.
     """
     pose, scale = at
-    moved, slope = _turned(problem.measured, pose, scale, len(covariance))
-    variance = np.einsum("nak,kl,nal->na", slope, covariance, slope)
-    turn = scale * factor * poses.rotation_of(pose)
-    return moved, np.sqrt(variance + np.einsum("ab,nbc,ac->na", turn, problem.spread.own(0.0), turn))
+    moved, slope = turned(problem.measured, pose, scale, len(covariance))
+    turn = scale * poses.rotation_of(pose)
+    own = turn @ problem.spread.own(0.0) @ turn.T
+    shared, core = slope, covariance
+    if tied:
+        shared, core = _with_drawn(slope, covariance, _drawn(problem, own, slope))
+    return moved, np.sqrt(np.einsum("nak,kl,nal->na", shared, core, shared) + np.einsum("naa->na", own))
+
+
+def _drawn(problem: PointPairs, own: Array, slope: Array) -> Array:
+    """Return how each measured point draws the transformation to its own errors, `O M^-1 A`, (n, 3, k).
+
+    O is the covariance of the point in the nominal frame, M that of its deviation, and A its derivatives by the steps
+    of the transformation, of covariance Q. The covariance of its errors and of those steps is `-O M^-1 A Q`.
+    """
+    used = np.isfinite(problem.nominal)
+    nominal = np.eye(3) * problem.sigma[:, None, :] ** 2
+    if problem.places is not None:
+        free = problem.places.free[problem.places.of]
+        listed_places = problem.places.spread.covariance[problem.places.of]
+        nominal = nominal + np.where(free[:, :, None] & free[:, None, :], listed_places, 0.0)
+    both = used[:, :, None] & used[:, None, :]
+    # a coordinate that is not used draws nothing: in its place stands a row of the unit matrix
+    deviation = np.where(both, own + nominal, np.eye(3))
+    return np.asarray(own @ np.linalg.solve(deviation, np.where(used[:, :, None], slope, 0.0)))
+
+
+def _with_drawn(slope: Array, covariance: Array, drawn: Array) -> tuple[Array, Array]:
+    """Return derivatives (n, 3, 2k) and core (2k, 2k) that count what points and transformation share."""
+    both = np.block([[covariance, -covariance], [-covariance, np.zeros_like(covariance)]])
+    return np.concatenate([slope, drawn], axis=2), both
 
 
 def _laid_features(
-    problem: PointPairs, wanted: Sequence[RequestedFeature], at: tuple[Array, float], covariance: Array, factor: float
+    problem: PointPairs, wanted: Sequence[RequestedFeature], at: tuple[Array, float], covariance: Array, tied: bool
 ) -> FittedFeatures | None:
     """Return the features through the points after the transformation, or None if none are wanted."""
     if not wanted:
         return None
     pose, scale = at
-    moved, slope = _turned(problem.list.stacked("xyz"), pose, scale, len(covariance))
-    turn = scale * factor * poses.rotation_of(pose)
+    moved, slope = turned(problem.list.stacked("xyz"), pose, scale, len(covariance))
+    turn = scale * poses.rotation_of(pose)
     own = turn @ problem.list_spread.own(problem.noise) @ turn.T
-    return fitted_features(wanted, FeaturePoints(problem.list, moved, own, slope, covariance))
+    drawn = np.zeros_like(slope)
+    if tied:
+        rows = problem.rows
+        drawn[rows] = _drawn(problem, np.nan_to_num(own[rows]), slope[rows])
+    return fitted_features(wanted, FeaturePoints(problem.list, moved, own, *_with_drawn(slope, covariance, drawn)))
 
 
 def warnings(problem: PointPairs, test: Tested) -> Iterator[str]:
@@ -163,7 +183,7 @@ def notes(problem: PointPairs, test: Tested, size: float, mirrored: float = floa
     if np.isfinite(mirrored) and mirrored < _NOTABLE * size:
         yield f"a mirror image would have {mirrored:.4g} mm; a rotation cannot give it, and this is a rotation"
     if problem.estimated:
-        noise = test.solution.sigma0 * problem.start_noise
+        noise = (1.0 if problem.weighed else test.solution.sigma0) * problem.start_noise
         yield f"estimated noise of a coordinate: {noise:.3g} mm; covariances are scaled by it"
     else:
         yield from noise_notes(test.solution, ())

@@ -15,6 +15,12 @@ _MOST = 60
 """Points up to which exchanged names are sought"""
 _MIRRORED = 10.0
 """A mirror image is refused that makes the deviations so many times smaller"""
+RIGID = 6
+"""Unknowns of a transformation without a scale"""
+_STEPS, _LONGEST = 20, 0.3
+"""Newton's steps from each start of an alignment, and the longest [rad]"""
+_ALIKE, _ROUGH = 2.0, 1e-5
+"""Starts fit alike whose deviations are at most so many times the least, and so much of the extent more"""
 _BETTER = 100.0
 """An exchange of two names is named if it makes the squared deviations so many times smaller"""
 
@@ -74,20 +80,41 @@ def mirrored(points: Array, goals: Array, names: Sequence[str], scaled: bool, st
     return other
 
 
+def turned(points: Array, pose: Array, scale: float, unknowns: int) -> tuple[Array, Array]:
+    """Return points after the transformation (n, 3), and their derivatives by its steps (n, 3, 6 or 7)."""
+    turned = scale * points @ poses.rotation_of(pose).T
+    slope = np.zeros((len(turned), 3, unknowns))
+    slope[:, :, :3] = np.eye(3)
+    x, y, z = turned.T
+    slope[:, 0, 4], slope[:, 0, 5], slope[:, 1, 3] = z, -y, -z
+    slope[:, 1, 5], slope[:, 2, 3], slope[:, 2, 4] = x, y, -x
+    if unknowns > RIGID:
+        slope[:, :, RIGID] = turned / scale
+    return turned + pose[:3], slope
+
+
 def aligned_start(points: Array, nominal: Array, scaled: bool) -> tuple[Array, float]:
     """Return a start for nominal points some of whose coordinates are not used (nan), as in a 3-2-1 alignment.
 
-    Unused coordinates follow the fitted points, round by round; rotations by multiples of 90 degrees are tried.
+    Unused coordinates follow the fitted points, round by round; rotations by multiples of 90 degrees are tried. A 3-2-1
+    alignment is also met with the part turned over: of the starts that fit alike, that with the least turn is taken.
     """
     from metrocli.instruments.camera_start import cube_rotations
 
-    attempts = []
+    attempts, used = [], np.isfinite(nominal)
     for rotation in cube_rotations():
         goals = np.where(np.isfinite(nominal), nominal, points @ rotation.T)
         for _ in range(60):
             pose, scale = similarity(points, goals, scaled)
             moved = poses.apply(pose, scale * points)
             goals = np.where(np.isfinite(nominal), nominal, moved)
-        attempts.append((float(((goals - moved) ** 2).sum()), pose, scale))
-    _, pose, scale = min(attempts, key=lambda trial: trial[0])
-    return pose, scale
+        for _ in range(_STEPS):  # rounds alone come nearer and nearer where few coordinates are used
+            moved, slope = turned(points, pose, scale, RIGID + scaled)
+            step = np.asarray(np.linalg.lstsq(slope[used], (nominal - moved)[used], rcond=None)[0], dtype=np.float64)
+            step = step * min(1.0, _LONGEST / max(float(np.abs(step[3:]).max()), 1e-300))
+            pose, scale = poses.moved(pose, step[:RIGID]), scale + float(step[RIGID:].sum())
+        off = (poses.apply(pose, scale * points) - nominal)[used]
+        attempts.append((float(np.sqrt((off**2).mean())), pose, scale))
+    bound = _ALIKE * min(off for off, _, _ in attempts) + _ROUGH * float(np.ptp(points, axis=0).max())
+    near = [(pose, scale) for off, pose, scale in attempts if off <= bound]
+    return max(near, key=lambda start: float(np.trace(poses.rotation_of(start[0]))))

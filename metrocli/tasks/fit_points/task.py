@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from metrocli.adjust.adjustment import adjust
+from metrocli.adjust.rounds import in_rounds
 from metrocli.adjust.solution import Solution
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.effects.correlated import with_all
@@ -25,8 +26,12 @@ from metrocli.tasks.fit_points.report import report
 from metrocli.tasks.fit_points.settings import Files, Settings, refuse_nothing_to_do
 from metrocli.tasks.fit_points.start import aligned_start, mirrored, similarity
 from metrocli.tasks.fit_points.stations import stations_of
+from metrocli.tasks.fit_points.tested import noise_of
 from metrocli.tasks.job import Job, Task
 from metrocli.tasks.shared.features.requested import requested_features
+
+_SETTLED = 1e-3
+"""Relative change of an estimated noise at which it no longer changes"""
 
 
 def run(job: Job[Settings, Files]) -> Result:
@@ -34,15 +39,16 @@ def run(job: Job[Settings, Files]) -> Result:
     settings, files = job.settings, job.files
     refuse_nothing_to_do(settings, files)
     if files.stations:
-        problem = _of_stations(job)
-        return joined(problem, solved(problem)[0])
+        problem, solution, _ = solved(_of_stations(job))
+        return joined(problem, solution)
     requested = requested_features(settings.features, table_of(files.points), "points")
     if files.nominal is None:
         _without_effects(job)
         return features_alone(requested, files.points, settings.noise)
     problem = _started(problem_of(settings, files))
     mirror = _of_the_mirror_image(problem)
-    return report(problem, solved(problem, job.effects), mirror, requested)
+    problem, solution, added = solved(problem, job.effects)
+    return report(problem, (solution, added), mirror, requested)
 
 
 def diagnosed(job: Job[Settings, Files]) -> AdjustedJob:
@@ -59,12 +65,12 @@ def diagnosed(job: Job[Settings, Files]) -> AdjustedJob:
         raise InputError("only a best fit can be diagnosed: this job has no `nominal` points")
     problem = _started(problem_of(job.settings, job.files))
     _of_the_mirror_image(problem)
-    solution, added = solved(problem, job.effects)
+    problem, solution, added = solved(problem, job.effects)
     if solution.dof <= 0:
         raise UndeterminedError("there are no more readings than unknowns: no residual can show an error of the model")
     if problem.estimated:
-        problem = replace(problem, noise=max(solution.sigma0 * problem.start_noise, problem.rounding))
-        solution, added = solved(problem, job.effects)
+        found = problem.found if problem.weighed else max(solution.sigma0 * problem.start_noise, problem.rounding)
+        problem, solution, added = solved(replace(problem, noise=found), job.effects)
     return adjusted_job(replace(problem.model(), blocks=solution.blocks, groups=solution.groups, added=added))
 
 
@@ -81,11 +87,27 @@ def check(job: Job[Settings, Files]) -> None:
         problem_of(job.settings, job.files)
 
 
-def solved(problem: PointPairs, requests: Iterable[RequestedEffect] = ()) -> tuple[Solution, tuple[Added, ...]]:
-    """Return the adjustment, and the effects in its model.
+def solved(
+    problem: PointPairs, requests: Sequence[RequestedEffect] = ()
+) -> tuple[PointPairs, Solution, tuple[Added, ...]]:
+    """Return the problem with the noise that it shows where that is also a weight, its adjustment, and its effects.
 
     Raises InputError for effects that cannot act, UndeterminedError or NotConvergedError if it has no good solution.
     """
+
+    def renewed(state: PointPairs, reached: tuple[Solution, tuple[Added, ...]]) -> tuple[PointPairs, bool]:
+        if not state.weighed:
+            return state, False
+        noise = noise_of(state, reached[0])
+        if abs(noise / state.start_noise - 1) <= _SETTLED:
+            return state, False
+        return replace(state, found=noise), True
+
+    state, (solution, added) = in_rounds(problem, lambda state: _adjusted(state, requests), renewed)
+    return state, solution, added
+
+
+def _adjusted(problem: PointPairs, requests: Sequence[RequestedEffect]) -> tuple[Solution, tuple[Added, ...]]:
     model = with_all(problem.model(), requests)
     solution = adjust(model.blocks.values(), model.groups)
     if solution.undetermined or not solution.outcome.good:

@@ -9,12 +9,13 @@ import numpy as np
 
 from metrocli.adjust.model.groups import Group, ReadBlock, ReadEntries
 from metrocli.adjust.robust import FitQuality, suspects
+from metrocli.adjust.rounds import variance_component
 from metrocli.adjust.solution import Residuals, Solution, residuals_of
 from metrocli.arrays import Array, Index
 from metrocli.frozen import dataclass
 from metrocli.table import Table
 from metrocli.tasks.fit_points.links import PLACE
-from metrocli.tasks.fit_points.problem import POINT, PointPairs
+from metrocli.tasks.fit_points.problem import AXES, POINT, PointPairs
 from metrocli.tasks.shared.statistics import residual_table
 
 _CONTROLLED = 2e-6
@@ -49,18 +50,19 @@ class Tested:
 
 def tested(problem: PointPairs, solution: Solution) -> Tested:
     """Return the tests of a best fit that is solved."""
-    factor = solution.sigma0 if problem.estimated and solution.dof > 0 else 1.0
-    exact = problem.estimated and factor * problem.start_noise <= problem.rounding
+    alone = problem.estimated and not problem.weighed
+    factor = solution.sigma0 if alone and solution.dof > 0 else 1.0
+    exact = alone and factor * problem.start_noise <= problem.rounding
     rounding, factor = (problem.rounding, 0.0) if exact else (0.0, factor)
     axes = [group for group in solution.groups if group.name in "xyz"]
     read = {group.name: _controlled(residuals_of(solution, group)) for group in axes}
     table = Table.stack([residual_table(_in_noise(read[group.name], factor), group) for group in axes])
     known = [group for group in solution.groups if _known(group) and group.name not in read]
     whole = {group.name: whole for group in known if (whole := _whole(solution, group)) is not None}
-    alone = read | {group.name: residuals_of(solution, group) for group in known if group.name not in whole}
-    fit = FitQuality(solution.cost, solution.dof, noise_known=not problem.estimated)
+    single = read | {group.name: residuals_of(solution, group) for group in known if group.name not in whole}
+    fit = FitQuality(solution.cost, solution.dof, noise_known=not alone)
     critical, worst = 0.0, list[tuple[float, int]]()
-    for tests, together in ((alone, False), (whole, True)):
+    for tests, together in ((single, False), (whole, True)):
         groups = [group for group in solution.groups if group.name in tests and tests[group.name].normalised.any()]
         if groups:
             merged = _merged([tests[group.name] for group in groups], together)
@@ -72,6 +74,22 @@ def tested(problem: PointPairs, solution: Solution) -> Tested:
     largest = {row: test for test, row in sorted(worst)}  # the largest of a point comes last
     ordered = dict(sorted(largest.items(), key=lambda item: -item[1]))
     return Tested(certain, factor, rounding, table, critical, ordered)
+
+
+def noise_of(problem: PointPairs, solution: Solution) -> float:
+    """Return the noise [mm] that the residuals of the coordinates without a standard uncertainty show.
+
+    Raises UndeterminedError where no other reading controls them.
+    """
+    bare, used = problem.bare, np.isfinite(problem.nominal)
+    read = [
+        Residuals(*(part[:, bare[used[:, axis], axis]] for part in (r.values, r.sigma, r.redundancy, r.normalised)))
+        for group in solution.groups
+        if group.name in AXES
+        for axis, r in ((AXES.index(group.name), residuals_of(solution, group)),)
+    ]
+    found = problem.start_noise * variance_component(read, "give `noise`, or a column sigma_mm")
+    return max(found, problem.rounding)
 
 
 def _controlled(residuals: Residuals) -> Residuals:

@@ -128,6 +128,11 @@ def locate(readings: AlignedPoses, noise: LaunchUnitNoise, how: How | None = Non
 def _located(readings: AlignedPoses, noise: LaunchUnitNoise, how: How) -> Located:
     if how.effects and how.method != "adjustment":
         raise InputError(f"{keys_of(how.effects)}: only `method: adjustment` can have them in its model")
+    if how.method != "adjustment" and np.isnan(readings.sigma).any():
+        raise InputError(
+            f"method: {how.method} takes the place of every receiver as known, and some have an empty sigma; state "
+            "their sigma, or take `method: adjustment`"
+        )
     _must_suffice(readings, noise, how.method)
     _refuse_mirrored(readings, noise)
     if how.method != "adjustment":
@@ -241,8 +246,8 @@ def _as_printed(readings: AlignedPoses, noise: LaunchUnitNoise, method: str) -> 
 def _propagated(readings: AlignedPoses, meeting: Meeting, noise: LaunchUnitNoise) -> Array:
     """Return the covariance (4, 4) of x y z gamma.
 
-    gamma depends on phi4 - phi1 of each pose, the place on phi4, phi3 and the distance. All distances share the
-    relative error of the air.
+    gamma depends on phi4 - phi1 of each pose, the place on phi4, phi3, the distance and the place of the receiver. All
+    distances share the relative error of the air.
     """
     n = len(readings.names)
     share = np.full((n, 1), 1 / n)
@@ -258,4 +263,7 @@ def _propagated(readings: AlignedPoses, meeting: Meeting, noise: LaunchUnitNoise
     shared = 0.0 if readings.air is None else readings.air.std
     common = shared * np.nan_to_num(readings.distance) @ by_distance
     distances = np.vstack([by_distance * (noise.distance or 0.0), common])
-    return np.asarray(noise.encoder**2 * encoders.T @ encoders + distances.T @ distances)
+    covariance = noise.encoder**2 * encoders.T @ encoders + distances.T @ distances
+    receivers = meeting.by_receiver * readings.sigma[:, None, :]
+    covariance[:3, :3] += np.einsum("nij,nkj->ik", receivers, receivers)
+    return np.asarray(covariance)

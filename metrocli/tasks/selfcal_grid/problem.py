@@ -57,6 +57,10 @@ class GridProblem(Modelled):
         readings = self.readings.with_observations(replace(observations, sigma=np.array(noise)))
         return self.with_model(self.model.with_group(readings))
 
+    def with_noise_times(self, factor: float) -> GridProblem:
+        """Return the problem with a factor on the noise of its readings."""
+        return self.with_noise(self.noise * factor)
+
     def held(self, design: FieldDesign) -> GridProblem:
         """Return the problem with one datum condition for each direction of the fields that the design leaves open."""
         places = {name: design.partition.columns[name] for name in (bg.MACHINE, bg.ARTEFACT)}

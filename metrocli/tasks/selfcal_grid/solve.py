@@ -40,6 +40,11 @@ class AdjustedGrid:
     """Rows left out, with their |w|"""
 
     @property
+    def read(self) -> tuple[Residuals, ...]:
+        """Residuals of the readings of balls, without those of calibrated lengths."""
+        return self.residuals[:1]
+
+    @property
     def design(self) -> FieldDesign:
         """Rank and covariance of the design."""
         return self.field_solution.design

@@ -27,7 +27,7 @@ from metrocli.tasks.selfcal_grid.sequence import in_sequence
 from metrocli.tasks.selfcal_grid.settings import Files, Settings, views_of
 from metrocli.tasks.selfcal_grid.simulation import simulated
 from metrocli.tasks.selfcal_grid.solve import AdjustedGrid, leave_one_out, solve
-from metrocli.tasks.shared.noise import Structured
+from metrocli.tasks.shared.noise import DECLARED, Structured, weighed
 
 _MANY = 20_000
 """Number of readings above which views are left out in turn only if the job asks for it"""
@@ -36,9 +36,7 @@ _MANY = 20_000
 def run(job: Job[Settings, Files]) -> Result:
     """Return the result with both error fields; raises InputError, UndeterminedError or NotConvergedError."""
     settings, files = job.settings, job.files
-    solved = solve(_problem(job), settings.outliers == "remove")
-    if settings.noise in FROM_RESIDUALS:
-        solved = _with_noise_found(solved, settings.outliers == "remove")
+    solved = _solved(job)
     shared, shown = None, solved
     if settings.noise == STRUCTURED:
         shown, shared = with_structure(solved)
@@ -72,14 +70,20 @@ def diagnosed(job: Job[Settings, Files]) -> AdjustedJob:
     return adjusted_job(solved)
 
 
-def _with_noise_found(solved: AdjustedGrid, remove: bool) -> AdjustedGrid:
-    """Return the adjustment with the noise estimated from its residuals.
+def _solved(job: Job[Settings, Files]) -> AdjustedGrid:
+    """Return the adjustment; a noise that is estimated is that of the readings alone, since lengths have their own.
 
     Raises UndeterminedError without degrees of freedom.
     """
-    if solved.solution.dof <= 0:
-        raise UndeterminedError("noise: estimated: there are no more readings than unknowns; declare the noise")
-    return solve(solved.whole.with_noise(solved.problem.noise * solved.solution.sigma0), remove)
+    model = job.settings.noise if isinstance(job.settings.noise, str) else DECLARED
+
+    def adjusted(problem: GridProblem) -> AdjustedGrid:
+        solved = solve(problem, job.settings.outliers == "remove")
+        if model != DECLARED and solved.solution.dof <= 0:
+            raise UndeterminedError("noise: estimated: there are no more readings than unknowns; declare the noise")
+        return solved
+
+    return weighed(model, _problem(job), adjusted)[0]
 
 
 def compare(job: Job[Settings, Files]) -> Table:

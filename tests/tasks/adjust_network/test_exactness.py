@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from simulated.network import network
+from simulated.network import NOISE, network, sigmas
 from tasks.adjust_network.dense import Dense
 
 from metrocli.formats import hdf5
@@ -52,3 +53,34 @@ def test_without_a_list_the_first_station_is_the_frame(tmp_path: Path, metrocli:
     between = np.linalg.norm(found[:, None] - found, axis=2)
     exact = np.linalg.norm(net.points[order][:, None] - net.points[order], axis=2)
     assert np.abs(between - exact).max() < 0.05
+
+
+def test_an_estimated_noise_leaves_bars_and_given_points_as_they_are_stated(tmp_path: Path, metrocli: Metrocli) -> None:
+    """The result is that of instruments that declare as many times the noise; a bar has its certificate."""
+    net, rng = network(np.random.default_rng(13), stations=3), np.random.default_rng(14)
+    given = (0, 1, 2, 3)
+    near = net.near.copy()
+    near[list(given)] = net.points[list(given)] + rng.normal(0, 0.01, (4, 3))
+    bars = tuple((a, b, float(np.linalg.norm(net.points[a] - net.points[b]))) for a, b in ((4, 5), (6, 7)))
+    net = replace(net, near=near, given=given, bars=bars).with_effect(
+        2.8 * rng.normal(size=net.seen.shape) * sigmas(net.seen)
+    )
+    results = []
+    job = net.write(tmp_path, "noise: estimated\n")
+    assert metrocli("adjust-network", job).code == 0
+    results.append(hdf5.read(tmp_path / "result.h5")[0])
+    f = results[0].statistics["noise_factor"]
+    assert 2 < f < 4
+    larger = (
+        f"{{azimuth: {2 * f} urad, elevation: {2 * f} urad, lateral: {4 * f} um, "
+        f"distance: {{constant: {2 * f} um, proportional: {0.3 * f} um/m}}}}"
+    )
+    net.write(tmp_path)
+    job.write_text(job.read_text().replace(NOISE, larger))
+    assert metrocli("adjust-network", job, "--force").code == 0
+    results.append(hdf5.read(tmp_path / "result.h5")[0])
+    places, joint = zip(
+        *((one.tables["points"].stacked("xyz"), one.arrays["points_joint_covariance"]) for one in results), strict=True
+    )
+    assert np.abs(places[0] - places[1]).max() < 1e-6
+    assert np.abs(np.diag(joint[0]) / np.diag(joint[1]) - 1).max() < 1e-6

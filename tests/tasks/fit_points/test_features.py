@@ -126,6 +126,23 @@ def test_features_are_in_the_frame_of_the_nominal_points(tmp_path: Path, metrocl
     assert shift != 0 and abs(shift) < 100 * ball_x
 
 
+def test_features_keep_their_own_sigma_where_the_fit_estimates_its_noise(tmp_path: Path, metrocli: Metrocli) -> None:
+    """Eight places fit to 0.1 mm; the ball beside them is measured to 5 um, and its radius knows nothing of the fit."""
+    rng = np.random.default_rng(9)
+    at, unit = rng.uniform(-300, 300, (8, 3)), rng.normal(size=(20, 3))
+    ball = [10.0, 20.0, 30.0] + 12.5 * unit / np.linalg.norm(unit, axis=1)[:, None]
+    rough = TURN.apply(at) + SHIFT + rng.normal(0, 0.1, at.shape)
+    lines = listed({"ball": TURN.apply(ball) + SHIFT}, 0.005)
+    lines += "".join(f"R{i},,{x},{y},{z},\n" for i, (x, y, z) in enumerate(rough.tolist()))
+    (tmp_path / "nominal.csv").write_text(
+        "point,x_mm,y_mm,z_mm\n" + "".join(f"R{i},{x},{y},{z}\n" for i, (x, y, z) in enumerate(at.tolist()))
+    )
+    job = JOB.replace("noise: 3 um\n", "") + "features: {ball: sphere}\n"
+    alone = estimates(metrocli, tmp_path, job, lines)["ball.radius"]["std"]
+    after = job.replace("points.csv}", "points.csv, nominal: nominal.csv}").replace("f.h5", "g.h5")
+    assert estimates(metrocli, tmp_path, after, lines)["ball.radius"]["std"] == pytest.approx(alone, rel=1e-6)
+
+
 @pytest.mark.parametrize(
     ("features", "code", "words"),
     [

@@ -254,6 +254,20 @@ def test_noise_of_stations_is_estimated() -> None:
     assert result.statistics["dof"] == 84
 
 
+def test_noise_of_stations_is_estimated_beside_uncertain_nominal_places() -> None:
+    place, found = np.random.default_rng(9).uniform(-500, 500, (6, 3)), list[float]()
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        rows = [(s, f"P{i}", p) for s in "ABC" for i, p in enumerate(place + rng.normal(0, 0.01, place.shape))]
+        nominal = Table.of(
+            {"point": named(6), "x y z [mm]": place + rng.normal(0, 0.1, place.shape), "sigma [mm]": np.full(6, 0.1)}
+        )
+        noise = fitted(station_table(rows), nominal).statistics["noise"]
+        assert isinstance(noise, float)
+        found.append(noise)
+    assert 0.9 < np.sqrt(np.mean(np.square(found))) / 0.01 < 1.1
+
+
 def test_a_job_of_stations_and_one_onto_its_points(
     metrocli: Callable[..., Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from simulated.launch import NOISE, PAPER_ENCODER, Poses, anywhere, paper, poses, settings
 
+from metrocli.errors import InputError
 from metrocli.result import Result
 from metrocli.tasks.locate_launch_unit import settings as unit_job
 from metrocli.tasks.locate_launch_unit import task as locate_launch_unit
@@ -94,11 +95,18 @@ def test_the_covariance_is_honest(n: int, distances: bool) -> None:
 
 
 @pytest.mark.alike
+@pytest.mark.parametrize("sigma", [0.0, 0.1])
 @pytest.mark.parametrize("method", ["lines", "closed-loop"])
-def test_the_methods_of_the_paper_state_what_they_scatter(method: str) -> None:
+def test_the_methods_of_the_paper_state_what_they_scatter(method: str, sigma: float) -> None:
+    """Also where the receivers stand `sigma` mm beside their places."""
     exact = anywhere(4, 5, distances=True)
-    noise = LaunchUnitNoise(PAPER_ENCODER, 0.01)
-    results = [located(exact.noisy(RNG, noise), method, noise) for _ in range(300)]
+    noise, rng = LaunchUnitNoise(PAPER_ENCODER, 0.01), np.random.default_rng([31, 5])
+    results = []
+    for _ in range(300):
+        read = exact.noisy(rng, noise)
+        read = replace(read, receivers=read.receivers + sigma * rng.normal(size=read.receivers.shape))
+        table = read.table(**({"sigma": np.full(4, sigma)} if sigma else {}))
+        results.append(locate_launch_unit.run(locate_launch_unit.TASK.job(settings(method, noise), table)))
     errors = np.array([off(result, exact.truth) for result in results])
     stated = np.sqrt(np.diag(results[0].covariance))
     assert errors.std(axis=0) == pytest.approx(stated, rel=0.13)
@@ -106,6 +114,12 @@ def test_the_methods_of_the_paper_state_what_they_scatter(method: str) -> None:
     assert np.corrcoef(unit.T) == pytest.approx(
         np.corrcoef(np.random.default_rng(1).multivariate_normal(np.zeros(4), results[0].covariance, 20000).T), abs=0.17
     )
+
+
+def test_the_methods_of_the_paper_take_no_receiver_of_unknown_place() -> None:
+    table = anywhere(4, 5).table(sigma=np.array([0.1, np.nan, 0.1, 0.1]))
+    with pytest.raises(InputError, match="some have an empty sigma"):
+        locate_launch_unit.run(locate_launch_unit.TASK.job(settings("lines"), table))
 
 
 @pytest.mark.slow

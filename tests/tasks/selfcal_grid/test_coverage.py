@@ -11,7 +11,9 @@ from simulated.grid import NOISE, PITCH, grid, without
 
 from metrocli.adjust.coupled_fields import adjust_fields, design_of
 from metrocli.instruments import ball_grid as bg
+from metrocli.table import Table
 from metrocli.tasks.selfcal_grid import readings as grid_readings
+from metrocli.tasks.selfcal_grid import task as selfcal_grid
 from metrocli.tasks.selfcal_grid.problem import GridProblem, build
 from metrocli.tasks.selfcal_grid.sequence import noise_gains
 from metrocli.tasks.selfcal_grid.settings import views_of
@@ -47,6 +49,25 @@ def test_intervals_cover_what_they_say(views: str, drop: float) -> None:
         p_values.append(float(chdtrc(solution.dof, solution.cost)))
     assert 0.93 < np.mean(inside) < 0.97
     assert 0.02 < np.mean(np.array(p_values) < 0.1) < 0.2
+
+
+def test_an_estimated_noise_is_that_of_the_readings_and_not_of_calibrated_lengths() -> None:
+    """A machine that reads to 0.1 um, and twelve lengths known to 0.5 um."""
+    one, rng, found = grid(3, "1234", 2), np.random.default_rng(5), list[float]()
+    ends = np.array([rng.choice(27, 2, replace=False) for _ in range(12)])
+    balls = PITCH * one.balls + one.artefact
+    exact = np.linalg.norm(balls[ends[:, 0]] - balls[ends[:, 1]], axis=1)
+    names = [f"{axis}{end}" for end in (1, 2) for axis in "ijk"]
+    columns = dict(zip(names, np.concatenate([one.balls[ends[:, 0]], one.balls[ends[:, 1]]], axis=1).T, strict=True))
+    for _ in range(4):
+        length = exact + rng.normal(0, 5e-4, 12)
+        lengths = Table({**columns, "length": length, "sigma": np.full(12, 5e-4)}, {"length": "mm", "sigma": "mm"})
+        settings = replace(one.settings(), noise="estimated")
+        result = selfcal_grid.run(selfcal_grid.TASK.job(settings, one.read(rng, 1e-4), lengths))
+        noise = result.statistics["noise"]
+        assert isinstance(noise, dict)
+        found.append(noise["mm"])
+    assert 0.9 < np.sqrt(np.mean(np.square(found))) / 1e-4 < 1.1
 
 
 @pytest.mark.alike
