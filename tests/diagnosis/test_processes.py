@@ -119,6 +119,8 @@ def test_a_clean_report_states_that_uncertainties_are_without_the_smooth_error()
         assert first.startswith("verdict: clean, but ")
         assert first.endswith(f"{smooth} is not in the uncertainties of the result")
         assert last.endswith("the job with `noise: structured`: its uncertainties include the smooth error")
+        assert "those of the extended job, with `noise: structured`, include it" in report
+        assert "extended job" not in of_diagnosis(found, None), "none was written"
         assert as_data(found)["processes"][0]["in_uncertainties"] is False
         by_chance = tuple(replace(error, log_level=np.log(0.25)) for error in found.correlated_errors)
         assert of_diagnosis(replace(found, correlated_errors=by_chance), None).splitlines()[0] == "verdict: clean"
