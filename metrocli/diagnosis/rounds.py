@@ -18,7 +18,7 @@ from metrocli.diagnosis.evidence.measurement import Measurement
 from metrocli.diagnosis.evidence.moves import effects
 from metrocli.diagnosis.evidence.parts import LARGEST, SCATTER, Fixed, Random
 from metrocli.diagnosis.evidence.refined import refined
-from metrocli.diagnosis.evidence.search import forward, pruned, swapped
+from metrocli.diagnosis.evidence.search import against_smooth, forward, pruned, swapped
 from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.evidence.weights import with_noise
 from metrocli.diagnosis.extended_fit import extended_fit_and_cost, readings_kept, relinearised, with_group_noise
@@ -216,7 +216,7 @@ def _terms_instead(less: State, key: tuple[int, ...] | None) -> list[Fixed]:
 def searched(job: AdjustedJob, quick: bool = False) -> tuple[State, State]:
     """Return the state of a job as it is, and that of the search about the solution with its dominant effects.
 
-    A quick search looks for no correlated errors and no smooth effects.
+    A quick search looks for no smooth effects, and for correlated errors only beside what it has found.
     Raises UndeterminedError if no reading is redundant.
     """
     m = measurement_of(job, quick=_is_alone(job, quick))
@@ -274,7 +274,7 @@ def searched_from(job: AdjustedJob, begin: State, quick: bool, without: Sequence
         begin = State.of(m)
         since = begin.score
         begin = begin if gross or is_overwhelmed(state) else continued
-    return pruned(refined(state if quick else swapped(state, without)))
+    return pruned(refined(against_smooth(state) if quick else swapped(state, without)))
 
 
 def _is_alone(job: AdjustedJob, quick: bool) -> bool:

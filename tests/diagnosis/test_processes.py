@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from simulated.network import network
 
-from benchmarks.hidden import launch, lengths
+from benchmarks.hidden import grids, launch, lengths
 from benchmarks.hidden.foreign import planted
 from benchmarks.hidden.rest import Size, _shown, _together, of_each, of_images
 from benchmarks.hidden_effects import KINDS as KINDS_OF_EFFECTS
@@ -119,6 +119,8 @@ def test_a_clean_report_states_that_uncertainties_are_without_the_smooth_error()
         assert first.startswith("verdict: clean, but ")
         assert first.endswith(f"{smooth} is not in the uncertainties of the result")
         assert last.endswith("the job with `noise: structured`: its uncertainties include the smooth error")
+        assert "those of the extended job, with `noise: structured`, include it" in report
+        assert "extended job" not in of_diagnosis(found, None), "none was written"
         assert as_data(found)["processes"][0]["in_uncertainties"] is False
         by_chance = tuple(replace(error, log_level=np.log(0.25)) for error in found.correlated_errors)
         assert of_diagnosis(replace(found, correlated_errors=by_chance), None).splitlines()[0] == "verdict: clean"
@@ -364,3 +366,13 @@ def test_what_shows_beside_a_known_covariance_is_that_of_weighted_least_squares(
     white, beside = _shown(taken, change, covariance)
     assert beside == pytest.approx(float(np.sqrt(change @ left @ change)))
     assert white == pytest.approx(float(np.linalg.norm(change - taken @ np.linalg.lstsq(taken, change, rcond=None)[0])))
+
+
+@pytest.mark.parametrize("name", ["_oscillation", "drift-in-view"])
+def test_a_first_answer_names_no_effect_that_stands_for_a_smooth_error(name: str) -> None:
+    """It named a reseated artefact of two views, which the whole answer excludes."""
+    rng = np.random.default_rng([3, 6])
+    m, hidden = grids.planted(grids.measurement(rng, "1234"), rng, name, 3.0)
+    found = diagnose(m.adjusted(), quick=True)
+    assert [one.effect.alternative.effect.name for one in found.findings] == [hidden.name] * (name[0] != "_")
+    assert bool(found.correlated_errors) is (name[0] == "_")

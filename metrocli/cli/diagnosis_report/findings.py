@@ -49,7 +49,8 @@ def of_diagnosis(diagnosis: Diagnosis, extended: Extended | None, full: bool = F
     if diagnosis.outliers:
         parts.append(list(_wrong(diagnosis.outliers, job.removes)))
     if not diagnosis.quick:
-        parts.append([*_structure(diagnosis), *_processes(diagnosis), *noise_lines(diagnosis)])
+        remedy = "" if extended is None else _shared(diagnosis)
+        parts.append([*_structure(diagnosis, remedy), *_processes(diagnosis, remedy), *noise_lines(diagnosis)])
     if diagnosis.laws:
         parts.append(list(law_lines(diagnosis, None if extended is None else extended.law)))
     parts += [list(_about_scatter(scatter)) for scatter in diagnosis.scatters]
@@ -166,7 +167,7 @@ def _others(outlier: Outlier) -> str:
     return listed([*map(str, outlier.effects), *("/".join(keys.values()) for keys in outlier.others)], _SHOWN)
 
 
-def _structure(diagnosis: Diagnosis) -> Iterator[str]:
+def _structure(diagnosis: Diagnosis, remedy: str) -> Iterator[str]:
     left = diagnosis.left
     if diagnosis.findings or diagnosis.scatters:
         yield f"structure before: {units.chance(diagnosis.before)}"
@@ -179,17 +180,20 @@ def _structure(diagnosis: Diagnosis) -> Iterator[str]:
     size += "" if left.share is None else f", {100 * left.share:.{3 if left.share >= 0.995 else 2}g} % of the misfit"
     along = f", varies with {' and '.join(left.depends_on)}" if left.depends_on else "," * bool(where)
     yield f"structure left: {units.chance(left.p_value)}{along}{where}{size}"
-    yield f"  No known effect explains it. {_included(diagnosis)}"
+    yield f"  No known effect explains it. {_included(diagnosis, remedy)}"
 
 
-def _included(diagnosis: Diagnosis) -> str:
-    """Return whether the uncertainties of the result include structure, or a smooth error, and what would."""
+def _included(diagnosis: Diagnosis, remedy: str) -> str:
+    """Return whether the uncertainties of the result include structure, or a smooth error, and what would.
+
+    `remedy` is what the extended job has for it, if one was written.
+    """
     include = "include it" if diagnosis.job.noise_model == STRUCTURED else "do not include it"
-    remedy = f"; those of the extended job, with {shared}, include it" if (shared := _shared(diagnosis)) else ""
-    return f"The standard uncertainties of the result {include}{remedy}."
+    would = f"; those of the extended job, with {remedy}, include it" if remedy else ""
+    return f"The standard uncertainties of the result {include}{would}."
 
 
-def _processes(diagnosis: Diagnosis) -> Iterator[str]:
+def _processes(diagnosis: Diagnosis, remedy: str) -> Iterator[str]:
     for error in diagnosis.correlated_errors:
         size, chance = error.sized(diagnosis.job.reading[1]), units.chance(float(np.exp(error.log_level)))
         # two errors over the same covariate differ in it
@@ -201,7 +205,7 @@ def _processes(diagnosis: Diagnosis) -> Iterator[str]:
         allowing = "the named effects and the detectable sizes" if diagnosis.findings else "the detectable sizes"
         yield f"  Chance explains it as well as any cause. It counts as noise: {allowing} allow for it."
         if diagnosis.left is None:
-            yield f"  {_included(diagnosis)}"
+            yield f"  {_included(diagnosis, remedy)}"
 
 
 def _about(finding: Finding) -> Iterator[str]:

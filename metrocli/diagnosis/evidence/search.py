@@ -10,12 +10,14 @@ from dataclasses import replace
 
 import numpy as np
 
+from metrocli.diagnosis.evidence.functions import process_bases
 from metrocli.diagnosis.evidence.likelihood import fit_at
 from metrocli.diagnosis.evidence.moves import Move, causes, effects, moves, readings
 from metrocli.diagnosis.evidence.parts import CORRELATED, Fixed, Random
 from metrocli.diagnosis.evidence.prices import ALIKE
 from metrocli.diagnosis.evidence.refined import refined
 from metrocli.diagnosis.evidence.state import State
+from metrocli.diagnosis.evidence.variances import correlated_errors
 from metrocli.diagnosis.evidence.weights import with_noise
 from metrocli.diagnosis.noise import AS_OTHERS
 
@@ -124,6 +126,26 @@ def _best(state: State, possible: Sequence[Move]) -> State | None:
 
 def _kept(state: State, move: Move) -> _Tried:
     return state.score, lambda: state, move
+
+
+def against_smooth(state: State) -> State:
+    """Return a state that was found without correlated errors with those that show beside its effects.
+
+    They take the place of effects that stand for them.
+    """
+    m = state.measurement
+    if m.knots or not (state.named or state.random):
+        return state
+    state = state.at(replace(m, knots=tuple(process_bases(m.job, m.system))))
+    for _ in range(_SWAPS):
+        entering = correlated_errors(state, set(), 1)
+        if not entering or entering[0].net <= 0 or m.job.budget.spent():
+            break
+        other = pruned(refined(Move(entering[0].net, entering=entering[0]).made(state)))
+        if other.score <= state.score + _GAINED:
+            break
+        state = other
+    return state
 
 
 def pruned(state: State) -> State:

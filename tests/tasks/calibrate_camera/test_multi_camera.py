@@ -107,7 +107,7 @@ def test_requirements_name_the_camera(tmp_path: Path, metrocli: Metrocli) -> Non
 def test_images_of_one_exposure_have_errors_of_their_own(tmp_path: Path) -> None:
     """They share the pose of the exposure, and no smooth error: each image has its own functions."""
     m = measurement_of(adjusted_job_of(load(job(tmp_path, seen(5)))))
-    (number,) = (number for number, knots in enumerate(m.knots) if knots.functions.by == "image")
+    (number,) = (number for number, knots in enumerate(m.knots) if knots.by == "image")
     columns = m.correlated(number, 0.25, -1).columns
     image = m.knots[number].unit
     for one in (0, 1):

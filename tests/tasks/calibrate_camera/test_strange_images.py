@@ -7,6 +7,7 @@ from functools import partial
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from benchmarks.halves import board_job, selected, simulated
 from benchmarks.references import DATA, network_job
@@ -118,10 +119,32 @@ def test_half_of_a_list_in_inches_is_named(rows: slice) -> None:
     assert "give all rows of the list in one unit" in text and "elsewhere" not in text
 
 
-def test_half_of_a_list_in_another_frame_has_its_list_checked() -> None:
-    """Lens and poses were not found, and nothing pointed to the list."""
-    text = words(listed_otherwise(1.0, 35.0, slice(60, None)))
-    assert "places of all rows of their list in one frame" in text
+@pytest.mark.parametrize("shift", [2.0, 7.0, 35.0])
+@pytest.mark.parametrize("rows", [slice(1, None, 2), slice(60, None)], ids=["every second row", "the second half"])
+def test_half_of_a_list_in_another_frame_is_named(shift: float, rows: slice) -> None:
+    """It was done without a doubt, or lens and poses were not found."""
+    text = words(listed_otherwise(1.0, shift, rows))
+    assert "the list of targets has two groups, each of which agrees with the images only by itself" in text
+    assert f"lie {shift:g} mm off against the other" in text
+    assert "T60, T61" in text if rows.step is None else "T1, T3, T5" in text
+    assert "elsewhere" not in text and "lens and poses" not in text
+
+
+def test_a_turned_group_is_named_and_a_stretched_list_is_not() -> None:
+    right = measured(2, wrong=False)
+    places = right.files.targets
+    assert places is not None
+    x, y = places.numbers("x"), places.numbers("y")
+    first = np.arange(len(x)) < 50
+
+    def listed(x: NDArray[np.float64], y: NDArray[np.float64]) -> str:
+        table = Table({**places.columns, "x": x, "y": y}, places.units)
+        return words(replace(right, files=replace(right.files, targets=table)))
+
+    turned = listed(np.where(first, x - 0.02 * y + 5.0, x), np.where(first, y + 0.02 * x, y))
+    assert "50 targets (T0, T1, T2, T3 and 46 more)" in turned and "and turned by -1.1 deg" in turned
+    for stretched in (listed(np.where(first, 1.1 * x, x), y), listed(x + (x / 60) ** 2, y)):
+        assert "two groups" not in stretched
 
 
 def test_a_target_that_spoils_all_images_a_little_is_doubted() -> None:

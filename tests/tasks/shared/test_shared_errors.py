@@ -152,6 +152,7 @@ def test_the_extended_job_has_the_model_beside_the_declared_parts(poses: Path, m
     assert written is not None and written.law is None
     extended = written.path
     assert "those of the extended job, with `model: structured`, include it" in of_diagnosis(left, written)
+    assert "those of the extended job" not in of_diagnosis(left, None), "none was written"
     assert "noise:\n  encoder: 5 arcsec\n  model: structured\n" in extended.read_text()
     assert metrocli("locate-launch-unit", extended).code == 0
     with h5py.File("r.extended.h5") as result:

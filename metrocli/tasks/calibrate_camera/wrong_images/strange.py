@@ -25,6 +25,7 @@ from metrocli.targets.homography import (
 from metrocli.targets.lattice import GATE
 from metrocli.tasks.calibrate_camera.problem import CameraProblem
 from metrocli.tasks.calibrate_camera.wrong_images.mixed_units import in_another_unit
+from metrocli.tasks.calibrate_camera.wrong_images.two_groups import in_two_frames
 from metrocli.words import listed
 
 _ENOUGH, _APART = 6, 5.0
@@ -84,6 +85,9 @@ def strange_images(problem: CameraProblem, images: Group, residuals: Array | Non
     if problem.rig != "board" or not planar:
         return []
     plane = poses.apply(frame, problem.sighted.targets.points)[:, :2]
+    views = [(index[view == i], rows.readings[:, view == i].T) for i in np.unique(view).tolist()]
+    if apart := in_two_frames(problem.sighted.targets.names, plane, views):
+        return apart
     seen = []
     for i in np.flatnonzero(_examined(view, residuals)).tolist():
         mine = view == i
