@@ -9,7 +9,7 @@ import csv
 import io
 import math
 import re
-from collections.abc import Container, Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -56,7 +56,7 @@ def read(path: Path, columns: Columns, shown: str = "", held: FileBytes | None =
     raw = replace(raw, cells=())  # which take more memory than the values
     faults += raw.faults
     if complete:
-        faults += _repeated(raw, columns, values, without_key)
+        faults += _repeated(raw, columns, values, {name: unit for name, (_, unit) in places.items()}, without_key)
     if faults:
         raise InputError(shortened(faults))
     internal = {c.name: units.internal_unit(c.dimension) for c in columns.columns if has_unit(c) and c.name in values}
@@ -68,8 +68,26 @@ def read(path: Path, columns: Columns, shown: str = "", held: FileBytes | None =
     return table
 
 
-def _repeated(raw: Raw, columns: Columns, values: dict[str, Values], without: Container[int | None]) -> list[Fault]:
-    """Return a fault for each row that has the same key as an earlier row, but for the lines `without` a key."""
+def _in_file(value: object, unit: units.Unit | None) -> str:
+    """Return a value of a key as the file has it: numbers in the unit of their column."""
+    if not isinstance(value, float):
+        return str(value)
+    return f"{value if unit is None else unit.outside(value):.12g}" + (
+        f" {unit.symbol}" if unit and unit.symbol != "1" else ""
+    )
+
+
+def _repeated(
+    raw: Raw,
+    columns: Columns,
+    values: dict[str, Values],
+    given: Mapping[str, units.Unit | None],
+    without: Container[int | None],
+) -> list[Fault]:
+    """Return a fault for each row that has the same key as an earlier row, but for the lines `without` a key.
+
+    `given` are the units of the columns in the file.
+    """
     names = [name for name in columns.key if name in values]
     if not names:
         return []
@@ -82,7 +100,9 @@ def _repeated(raw: Raw, columns: Columns, values: dict[str, Values], without: Co
         if raw.numbers[row] in without:
             continue
         if key in first:
-            message = ", ".join(f"{name} {value}" for name, value in zip(names, key, strict=True))
+            message = ", ".join(
+                f"{name} {_in_file(value, given.get(name))}" for name, value in zip(names, key, strict=True)
+            )
             hint = _which_row(columns, values, raw.numbers[first[key]], (first[key], row))
             faults.append(raw.fault(f"{message}: a second row", raw.numbers[row], None, hint))
         else:

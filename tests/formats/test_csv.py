@@ -246,3 +246,10 @@ def test_where_every_column_is_wanted_each_has_the_kind_of_its_cells(tmp_path: P
     table = read(tmp_path, "part,l_mm,note\na,1.5,7\nb,2.5,late\n", Columns((), (), "readings", every=True))
     assert (table.texts("part"), table.texts("note")) == (["a", "b"], ["7", "late"])
     assert table.numbers("l_mm").tolist() == [1.5, 2.5]
+
+
+def test_a_repeated_row_is_named_with_the_numbers_of_its_file(tmp_path: Path) -> None:
+    """A time of 3 min was 180.0, in the unit of the program."""
+    keyed = Columns(COLUMNS.columns, key=("image", "target", "t", "scale"))
+    found = faults(tmp_path, "image,target,u_px,t_min,scale\na,1,2,3,1\na,1,2,3,1\n", keyed)
+    assert "image a, target 1, t 3 min, scale 1: a second row" in found
