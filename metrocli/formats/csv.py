@@ -26,6 +26,7 @@ from metrocli.table import NUMBER, TEXT, WHOLE, Column, Columns, Table
 
 LONGEST_TEXT = 200
 _WHOLE_LIMIT = 1 << 62
+_NO_PART = re.compile(r"(?<=[0-9])\.0*$")
 _CLOCK = re.compile(r"\d:\d\d|\d-\d\d?-\d|\d\.\d\d?\.\d")
 """Parts of times of day and of dates"""
 _DEGREE = units.find_unit("deg", "angle")
@@ -230,7 +231,8 @@ def _number(cell: str, column: Column) -> tuple[float | int, str, str | None]:
     if not cell and column.may_be_empty:
         return float("nan"), "", None
     try:
-        value = int(cell) if column.dimension == WHOLE else float(cell)
+        # tables with an empty cell somewhere are written with 2.0 for 2
+        value = int(_NO_PART.sub("", cell)) if column.dimension == WHOLE else float(cell)
         if _is_plain(cell) and abs(value) < _most(column):
             return value, "", None
         odd = "has digits that are not ASCII" if not cell.isascii() else "has an underscore" if "_" in cell else ""
