@@ -11,6 +11,8 @@ _MOST_ALLOWED = 40
 """Words of a list of what is allowed: more than any key has, fewer than the points of a file"""
 _SHORT = 2
 """Letters and digits of a name up to which each letter counts"""
+_OF_ONE = {"are": "is", "have": "has"}
+"""Verbs of many, and of one where no s is added"""
 
 
 def composed(text: str) -> str:
@@ -33,6 +35,13 @@ def lines_in_words(lines: Sequence[int]) -> str:
 def in_a_row(names: Sequence[str]) -> str:
     """Return names as a text "a, b and c"."""
     return f"{', '.join(names[:-1])} and {names[-1]}" if len(names) > 1 else "".join(names)
+
+
+def counted(number: int, noun: str, verb: str = "") -> str:
+    """Return a number with its noun, and with the verb that follows: "1 point is", "3 points are"."""
+    if number == 1:
+        return f"1 {noun} {_OF_ONE.get(verb, f'{verb}s')}" if verb else f"1 {noun}"
+    return f"{number} {noun}s {verb}".rstrip()
 
 
 def shortened(text: str, letters: int) -> str:

@@ -9,7 +9,7 @@ import csv
 import io
 import math
 import re
-from collections.abc import Container, Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -26,6 +26,7 @@ from metrocli.table import NUMBER, TEXT, WHOLE, Column, Columns, Table
 
 LONGEST_TEXT = 200
 _WHOLE_LIMIT = 1 << 62
+_NO_PART = re.compile(r"(?<=[0-9])\.0*$")
 _CLOCK = re.compile(r"\d:\d\d|\d-\d\d?-\d|\d\.\d\d?\.\d")
 """Parts of times of day and of dates"""
 _DEGREE = units.find_unit("deg", "angle")
@@ -56,7 +57,7 @@ def read(path: Path, columns: Columns, shown: str = "", held: FileBytes | None =
     raw = replace(raw, cells=())  # which take more memory than the values
     faults += raw.faults
     if complete:
-        faults += _repeated(raw, columns, values, without_key)
+        faults += _repeated(raw, columns, values, {name: unit for name, (_, unit) in places.items()}, without_key)
     if faults:
         raise InputError(shortened(faults))
     internal = {c.name: units.internal_unit(c.dimension) for c in columns.columns if has_unit(c) and c.name in values}
@@ -68,8 +69,26 @@ def read(path: Path, columns: Columns, shown: str = "", held: FileBytes | None =
     return table
 
 
-def _repeated(raw: Raw, columns: Columns, values: dict[str, Values], without: Container[int | None]) -> list[Fault]:
-    """Return a fault for each row that has the same key as an earlier row, but for the lines `without` a key."""
+def _in_file(value: object, unit: units.Unit | None) -> str:
+    """Return a value of a key as the file has it: numbers in the unit of their column."""
+    if not isinstance(value, float):
+        return str(value)
+    return f"{value if unit is None else unit.outside(value):.12g}" + (
+        f" {unit.symbol}" if unit and unit.symbol != "1" else ""
+    )
+
+
+def _repeated(
+    raw: Raw,
+    columns: Columns,
+    values: dict[str, Values],
+    given: Mapping[str, units.Unit | None],
+    without: Container[int | None],
+) -> list[Fault]:
+    """Return a fault for each row that has the same key as an earlier row, but for the lines `without` a key.
+
+    `given` are the units of the columns in the file.
+    """
     names = [name for name in columns.key if name in values]
     if not names:
         return []
@@ -82,7 +101,9 @@ def _repeated(raw: Raw, columns: Columns, values: dict[str, Values], without: Co
         if raw.numbers[row] in without:
             continue
         if key in first:
-            message = ", ".join(f"{name} {value}" for name, value in zip(names, key, strict=True))
+            message = ", ".join(
+                f"{name} {_in_file(value, given.get(name))}" for name, value in zip(names, key, strict=True)
+            )
             hint = _which_row(columns, values, raw.numbers[first[key]], (first[key], row))
             faults.append(raw.fault(f"{message}: a second row", raw.numbers[row], None, hint))
         else:
@@ -210,7 +231,8 @@ def _number(cell: str, column: Column) -> tuple[float | int, str, str | None]:
     if not cell and column.may_be_empty:
         return float("nan"), "", None
     try:
-        value = int(cell) if column.dimension == WHOLE else float(cell)
+        # tables with an empty cell somewhere are written with 2.0 for 2
+        value = int(_NO_PART.sub("", cell)) if column.dimension == WHOLE else float(cell)
         if _is_plain(cell) and abs(value) < _most(column):
             return value, "", None
         odd = "has digits that are not ASCII" if not cell.isascii() else "has an underscore" if "_" in cell else ""

@@ -13,6 +13,7 @@ from metrocli.errors import Fault, InputError
 from metrocli.formats.csv_text import shortened
 from metrocli.imports import Imported, ImportOptions
 from metrocli.imports.lines import TextLines, is_number, to_csv
+from metrocli.words import counted
 
 _WANTED = ("filename", "x", "y")
 _LEVEL = "level"
@@ -55,7 +56,7 @@ def files(lines: TextLines, options: ImportOptions) -> Imported:
     skipped = sum(each.count(None) for each in images.values())
     notes = [f"{skipped} corners that the file calls not found are left out (level - or below 0)"] if skipped else []
     empty = len(corners) - len(images)
-    notes += [f"{empty} images have no corner and are left out"] if empty else []
+    notes += [f"{counted(empty, 'image', 'have')} no corner: left out"] if empty else []
     header = ("image", "target", "u_px", "v_px")
     return {"observations.csv": to_csv(header, rows, f"from {lines.file} (vnl)", notes)}
 

@@ -17,7 +17,7 @@ from metrocli.plots.places import places_of
 from metrocli.plots.plotted_points import PlottedPoints
 from metrocli.plots.style import MARKERS, Canvas, arrows, bare
 from metrocli.result import Result
-from metrocli.words import in_a_row
+from metrocli.words import counted, in_a_row
 
 _MOST = 1500
 """Most points of one kind; the longest vector is always among them"""
@@ -222,5 +222,5 @@ def _caption(scene: Scene) -> str:
         parts.append("Named are the worst image of each camera, the first and the last.")
     if scene.left_out:
         longest = "; the longest vector of each cell stays" if any(x.vectors is not None for x in scene.places) else ""
-        parts.append(f"{scene.left_out} points are left out{longest}.")
+        parts.append(f"{counted(scene.left_out, 'point', 'are')} left out{longest}.")
     return " ".join(parts)

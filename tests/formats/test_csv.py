@@ -246,3 +246,17 @@ def test_where_every_column_is_wanted_each_has_the_kind_of_its_cells(tmp_path: P
     table = read(tmp_path, "part,l_mm,note\na,1.5,7\nb,2.5,late\n", Columns((), (), "readings", every=True))
     assert (table.texts("part"), table.texts("note")) == (["a", "b"], ["7", "late"])
     assert table.numbers("l_mm").tolist() == [1.5, 2.5]
+
+
+def test_a_repeated_row_is_named_with_the_numbers_of_its_file(tmp_path: Path) -> None:
+    """A time of 3 min was 180.0, in the unit of the program."""
+    keyed = Columns(COLUMNS.columns, key=("image", "target", "t", "scale"))
+    found = faults(tmp_path, "image,target,u_px,t_min,scale\na,1,2,3,1\na,1,2,3,1\n", keyed)
+    assert "image a, target 1, t 3 min, scale 1: a second row" in found
+
+
+def test_a_whole_number_may_have_a_point(tmp_path: Path) -> None:
+    """Programs that write a column with an empty cell write 2.0 for 2."""
+    table = read(tmp_path, "image,target,u_px,repeat\na,1,2,2.0\nb,1,2,-3.\n")
+    assert table.columns["repeat"].tolist() == [2, -3]
+    assert "'2.01' is not a whole number" in faults(tmp_path, "image,target,u_px,repeat\na,1,2,2.01\n")

@@ -270,7 +270,7 @@ CAMERAS = [
         {"observations.csv": whole(FOLDED)}, {"observations.csv": whole(FOLDED), "job.yaml": put("k1, k2]", "k1]")}, "estimate further radial terms"),
     Row("{}; with u and v exchanged all would lie inside", "board", CAMERA, {SEEN: then(cells("u_px", lambda u: float(u) + 120), put("u_px,v_px", "v_px,u_px"))}, {SEEN: times(2, "u_px")}, "outside"),
     Row("are the columns u and v exchanged?", "board", CAMERA, {SEEN: put("u_px,v_px", "v_px,u_px")}, {SEEN: cells("u_px", lambda u: float(u) + 100)}, "check image_size"),
-    Row("{} images are turned by 180 degrees, or the {} others are", "board", CAMERA,
+    Row("{} turned by 180 degrees, or the {} others are", "board", CAMERA,
         {SEEN: then(*(cells(n, lambda c, s=s: s - float(c), f"view{i}.png") for i in (1, 3, 6) for n, s in (("u_px", 639), ("v_px", 479))))}, {}, DONE),
     Row("{}: with {} free the squared residuals are {} times as large; estimate what is held, or correct it", "board", CAMERA,
         {"job.yaml": put("cx, cy, k1, k2]", "cx, cy], k1: -0.1")}, {"job.yaml": put("cx, cy, k1, k2]", "cx, cy], k1: -0.2")}, DONE),

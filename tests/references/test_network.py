@@ -129,4 +129,4 @@ def test_object_points_are_the_published_ones(found: Found) -> None:
 
 
 def test_targets_that_no_image_shows_are_named(found: Found) -> None:
-    assert any("7 targets of the list are seen in no image: 1017, 1075" in line for line in found.result.warnings)
+    assert any("7 targets of the list seen in no image: 1017, 1075" in line for line in found.result.warnings)

@@ -15,7 +15,7 @@ from metrocli.diagnosis.hidden_change import UndetectedBias
 from metrocli.diagnosis.power.average_power import DetectableCandidate, ScatterCandidate
 from metrocli.diagnosis.status import Conclusions
 from metrocli.effects.effect import Parameter
-from metrocli.words import listed
+from metrocli.words import counted, listed
 
 _SHOWN = 5
 _NOT_TESTED = status.Status.NOT_TESTED
@@ -119,7 +119,7 @@ def _of_readings(adjusted: AdjustedJob, wrong: WrongReading, open_yet: bool, dec
     word = "detectable" if open_yet else str(status.Status.EXCLUDED if decided else status.Status.NOT_DECIDED)
     word = _status(word, wrong.between if decided else (), wrong.effect.parameters[0])
     why = "larger ones are listed as wrong readings" if decided else status.ENDED
-    why += f"; {wrong.unchecked} readings are checked by no other" if wrong.unchecked else ""
+    why += f"; {counted(wrong.unchecked, 'reading', 'are')} checked by no other" if wrong.unchecked else ""
     return name, "one reading", word, "", _hidden(adjusted, wrong.undetected), why
 
 

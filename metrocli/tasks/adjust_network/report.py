@@ -36,7 +36,7 @@ from metrocli.tasks.shared.statistics import (
     point_shift,
     with_job_noise,
 )
-from metrocli.words import listed
+from metrocli.words import counted, listed
 
 _LARGEST_JOINT = 2000
 """Most points whose joint covariance the result holds as one matrix"""
@@ -277,7 +277,7 @@ def _warnings(solved: AdjustedNetwork, solution: Solution) -> Iterator[str]:
     once = _seen_once(solved)
     if once:
         named = listed(once, _ONCE)
-        yield f"{len(once)} points are determined, but nothing checks them: {named}; sight them from a second station"
+        yield f"{counted(len(once), 'point', 'are')} determined, but not checked: {named}; a second station would"
 
 
 def _seen_once(solved: AdjustedNetwork) -> list[str]:

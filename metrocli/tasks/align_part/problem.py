@@ -32,7 +32,7 @@ from metrocli.tasks.shared.images.simulation import ExactImagePoints, SimulatedC
 from metrocli.tasks.shared.images.target_list import images_needed
 from metrocli.tasks.shared.joint_covariance import JointInput
 from metrocli.tasks.shared.part import Part
-from metrocli.words import in_a_row
+from metrocli.words import counted, in_a_row
 
 _ANGLES = np.linspace(-np.pi, np.pi, 12, endpoint=False)
 """Clamping angles [rad] to start from, if the start at 0 fails"""
@@ -153,7 +153,7 @@ def _with_poses(
         raise InputError([Fault(f"there is no pose for image '{name}'", table.file, hint=hint) for name in images])
     rows = np.array([place[name] for name in exposed.names], dtype=np.intp)
     unused = [name for name in place if name not in set(exposed.names)]
-    warnings = [f"{len(unused)} poses have no sighting: {', '.join(unused[:8])}"] if unused else []
+    warnings = [f"{counted(len(unused), 'pose', 'have')} no sighting: {', '.join(unused[:8])}"] if unused else []
     warnings += [f"no image is that of {in_a_row(exposed.unused)}"] if exposed.unused else []
     of_reading = rows[exposed.exposure[sighted.view]]
     of_poses = {name: values[of_reading] for name, values in table.conditions("t", "temp").items()}

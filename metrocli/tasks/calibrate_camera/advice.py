@@ -21,6 +21,7 @@ from metrocli.tasks.calibrate_camera.problem import CameraProblem
 from metrocli.tasks.calibrate_camera.wrong_images.strange import strange_images
 from metrocli.tasks.shared.images.adjustment import AdjustedImages
 from metrocli.tasks.shared.images.camera_parameters import HIGH_CORRELATION
+from metrocli.words import counted
 
 _PARALLEL = np.radians(3.0)
 _TURNED = np.radians(45.0)
@@ -49,9 +50,8 @@ def _left_out(rejected: Table) -> list[str]:
     if not len(rejected):
         return []
     of = ", ".join(f"{number} of {name}" for name, number in Counter(rejected.texts("target")).most_common(_SHOWN))
-    return [
-        f"  noticed: {len(rejected)} readings were left out as outliers, the most {of}; `outliers: report` keeps them"
-    ]
+    left = counted(len(rejected), "reading")
+    return [f"  noticed: {left} left out as outliers, the most {of}; `outliers: report` keeps them"]
 
 
 def in_words(text: str) -> str:

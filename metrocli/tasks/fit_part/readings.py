@@ -19,7 +19,7 @@ from metrocli.tasks.fit_part.settings import Settings
 from metrocli.tasks.shared.lists import sigmas
 from metrocli.tasks.shared.part import growth_of
 from metrocli.uncertainty.predicted import PredictedPlaces, independent, points_of
-from metrocli.words import listed, suggestion
+from metrocli.words import counted, listed, suggestion
 
 TARGET_WORD = "target"
 """Word in the column `surface` that marks a coded target"""
@@ -98,7 +98,8 @@ def read(settings: Settings, points: Table | Result, names: tuple[str, ...], of_
     if left_out.any():
         rest = measured.of(left_out).names
         warnings.append(
-            f"{len(rest)} points are neither on a surface nor among `targets` and are left out: {listed(rest, 5)}"
+            f"{counted(len(rest), 'point', 'are')} neither on a surface nor among `targets` and left out: "
+            f"{listed(rest, 5)}"
         )
     if of_mesh and named.any():
         warnings.append("the surfaces named for the points are not used: the triangles of a mesh have no names")

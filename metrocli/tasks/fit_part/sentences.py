@@ -17,7 +17,7 @@ from metrocli.tasks.fit_part.fit import MOST, max_least_overstock_of_many
 from metrocli.tasks.fit_part.solve import FittedPart, fitted_part
 from metrocli.tasks.shared.part import taken_as_exact
 from metrocli.tasks.shared.uncontrolled import SCALE, SCALE_WORDS, Hidden, table_of
-from metrocli.words import in_a_row, listed
+from metrocli.words import counted, in_a_row, listed
 
 _ALIKE = 1e-7
 """Difference of overstock up to which points are equally low: more than `most` gives up [mm]"""
@@ -91,7 +91,7 @@ def warnings(solved: FittedPart, surfaces: Table, rejected: Table) -> Iterator[s
         if rows:
             off = np.abs(rejected.numbers("off")[rows])
             names = [rejected.texts("point")[row] for row in rows]
-            count = "1 point is" if len(rows) == 1 else f"{len(rows)} points are"
+            count = counted(len(rows), "point", "are")
             yield (
                 f"{count} left out as {reason}: {listed(names, 5)}, up to {off.max():.2f} mm from the level of the "
                 f"surface; {what} (table rejected); `outliers: report` keeps all points"

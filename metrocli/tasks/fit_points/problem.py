@@ -30,7 +30,7 @@ from metrocli.tasks.fit_points.listed import Spread, listed_points
 from metrocli.tasks.fit_points.settings import ESTIMATED, Files, Settings
 from metrocli.tasks.shared.lists import refuse
 from metrocli.tasks.shared.rounding import rounding_of
-from metrocli.words import listed, nearest
+from metrocli.words import counted, listed, nearest
 
 POINT, POSE = "point", "pose"
 AXES, PAIRS = ("x", "y", "z"), ("xy", "xz", "yz")
@@ -242,8 +242,8 @@ def problem_of(settings: Settings, files: Files) -> PointPairs:
     alone = [name for name in names if name not in places], [name for name in places if name not in set(names)]
     if len(rows) < _FEWEST:
         raise UndeterminedError(
-            f"{len(rows)} points are in both lists ({listed([names[i] for i in rows]) or 'no name is'}): a best fit "
-            f"needs three that are not on a line{_spelt(*alone)}",
+            f"{counted(len(rows), 'point', 'are')} in both lists ({listed([names[i] for i in rows]) or 'no name is'}): "
+            f"a best fit needs three that are not on a line{_spelt(*alone)}",
             0.0,
         )
     chosen, goals = np.array(rows), of_nominal.of(np.array(of))
@@ -257,7 +257,7 @@ def problem_of(settings: Settings, files: Files) -> PointPairs:
         free = {name for name, feature in zip(names, points.texts("feature"), strict=True) if feature}
         alone = [name for name in alone[0] if name not in free], alone[1]
     warnings = tuple(
-        f"{len(some)} points are in {where} only and are left out: {listed(some)}"
+        f"{counted(len(some), 'point', 'are')} in {where} only and left out: {listed(some)}"
         for some, where in zip(alone, ("the list of measured points", "the nominal list"), strict=True)
         if some
     )

@@ -16,7 +16,7 @@ from metrocli.tasks.fit_points.problem import Places, PointPairs
 from metrocli.tasks.fit_points.settings import Files, Settings
 from metrocli.tasks.fit_points.start import mirrored, similarity
 from metrocli.tasks.shared.lists import refuse
-from metrocli.words import listed
+from metrocli.words import counted, listed
 
 _FEWEST = 3
 """Common points that join a station"""
@@ -96,7 +96,7 @@ def _places(points: Table, files: Files) -> tuple[Places, tuple[str, ...]]:
     whole = spread.of(rows).among(place[rows], len(names))
     free = ~np.isfinite(values) | (whole.sigma > 0)
     alone = [name for name in nominal.texts("point") if name not in known]
-    left = f"{len(alone)} points are in the nominal list only and are left out: {listed(alone)}"
+    left = f"{counted(len(alone), 'point', 'are')} in the nominal list only and left out: {listed(alone)}"
     return Places(names, values, free, of, whole), (left,) if alone else ()
 
 

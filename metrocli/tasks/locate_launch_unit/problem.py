@@ -24,7 +24,7 @@ from metrocli.tasks.locate_launch_unit.effects import AXES, PAIRS, UNITS
 from metrocli.tasks.locate_launch_unit.readings import ANGLES, AlignedPoses
 from metrocli.tasks.locate_launch_unit.settings import LaunchUnitNoise
 from metrocli.tasks.shared.environment import priors_of
-from metrocli.words import listed
+from metrocli.words import counted, listed
 
 WEAK = 0.01
 """Relative uncertainty of the distance to the unit above which the beams do not determine its place"""
@@ -69,7 +69,7 @@ def build(readings: AlignedPoses, noise: LaunchUnitNoise) -> LaunchUnitProblem:
     if noise.distance is not None:
         groups.append(_distances(readings, measured, noise.distance))
     steep = [name for name, used in zip(readings.names, readings.level, strict=True) if not used]
-    text = f"the beam is vertical in {len(steep)} poses, which have no base angle; their angles are left out: "
+    text = f"the beam is vertical in {counted(len(steep), 'pose')} without a base angle; left out are the angles of "
     read = tuple(group for group in groups if group.observations.count)
     places = {
         "encoder": Place(tuple(lu.ENCODERS)),

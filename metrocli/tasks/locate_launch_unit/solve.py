@@ -31,8 +31,11 @@ from metrocli.tasks.locate_launch_unit.problem import (
 )
 from metrocli.tasks.locate_launch_unit.readings import AlignedPoses
 from metrocli.tasks.locate_launch_unit.settings import LaunchUnitNoise
+from metrocli.units import two_digits
 from metrocli.words import in_a_row, listed
 
+_APART = 10.0
+"""Angle [deg] between beams from which they are no single beam, however uncertain the place is"""
 _ABSURD = 100.0
 """sigma0 above this cannot come from noise"""
 _NO_DISTANCE = (
@@ -205,18 +208,23 @@ def _must_suffice(readings: AlignedPoses, noise: LaunchUnitNoise, method: str) -
     uncertain = uncertainty_along(readings, noise)
     if uncertain > WEAK:
         text = f"the distance to the unit would be uncertain by {min(uncertain, 1.0):.0%} or more"
-        raise UndeterminedError(explained(readings, text))
+        raise UndeterminedError(explained(readings, text, noise.encoder))
 
 
-def explained(readings: AlignedPoses, words: str) -> str:
-    """Return the message of what is undetermined, why, and what would determine it."""
+def explained(readings: AlignedPoses, words: str, encoder: float = 0.0) -> str:
+    """Return the message of what is undetermined, why, and what would determine it; `encoder` is the noise [rad]."""
     n = len(readings.names)
     angle = np.rad2deg(np.arcsin(min(spread(readings.beams) / np.sqrt(n), 1.0)))
     why = "there is one pose" if n == 1 else f"all {n} poses lie on nearly one beam (within {angle:.2g} degrees)"
+    why, what = f"{why}, so the unit could be anywhere along it", "a pose whose beam comes from another direction"
+    if n > 1 and angle > _APART and encoder:
+        noise = two_digits(float(np.rad2deg(encoder)))
+        why = f"the beams are {angle:.2g} degrees apart, but each encoder angle is uncertain by {noise} degrees"
+        what = "angles with less noise or more digits, and `noise: encoder` as it then is"
     return (
         f"the place of the launch unit cannot be determined: {words}\n"
-        f"  why: {why}, so the unit could be anywhere along it\n"
-        "  what would determine it: a pose whose beam comes from another direction, or a measured distance"
+        f"  why: {why}\n"
+        f"  what would determine it: {what}, or a measured distance"
     )
 
 

@@ -26,6 +26,7 @@ from metrocli.tasks.multilaterate.uncontrolled import scale_warnings, uncontroll
 from metrocli.tasks.shared.statistics import estimates_of_block, reliability
 from metrocli.tasks.shared.uncontrolled import in_words
 from metrocli.units import roughly
+from metrocli.words import counted
 
 _HEAD = "tracers, and distances of points along lines through the volume:"
 _FEWEST_CHECKED = 4
@@ -135,7 +136,8 @@ def _of_lengths(layout: PlannedNetwork, lengths: Table) -> Iterator[str]:
         yield f"an error of that size moves its point by up to {roughly(moves[row], 'um')} ({name})"
     poor = int((lengths.numbers("redundancy") < _UNCONTROLLED).sum())
     if poor:
-        yield f"{poor} lengths are hardly controlled by the others (redundancy below {_UNCONTROLLED:g}), such as {name}"
+        few = counted(poor, "length", "are")
+        yield f"{few} hardly controlled by the others (redundancy below {_UNCONTROLLED:g}), such as {name}"
     if (layout.network.seen[layout.network.unknown] == _FEWEST_CHECKED).any():
         yield "with four tracers a wrong length shows at its point but cannot be identified; a fifth would identify it"
 

@@ -23,7 +23,7 @@ from metrocli.tasks.shared.environment import Air, air_of, unused
 from metrocli.tasks.shared.lengths import PathNoise, stops_of
 from metrocli.tasks.shared.lists import matched, refuse, sigmas, sticking
 from metrocli.tasks.shared.tracers import EQUAL, LengthsToTracers, Tracers, few_of_each, observed, tracers_of
-from metrocli.words import listed
+from metrocli.words import counted, listed
 
 DISTANCES = "distances"
 """Name of the group of calibrated distances"""
@@ -119,7 +119,7 @@ def _stops(point: Index, sigma: Array, time: Array | None) -> tuple[Index, Array
 def _unused(readings: LengthReadings) -> tuple[str, ...]:
     """Return a warning of points without a length, and one of tracers without a reading."""
     unseen = [readings.names[row] for row in np.flatnonzero(readings.seen == 0)]
-    warnings = (f"{len(unseen)} points have no length: {listed(unseen)}",) if unseen else ()
+    warnings = (f"{counted(len(unseen), 'point', 'have')} no length: {listed(unseen)}",) if unseen else ()
     idle, values = readings.tracers.idle, readings.observations.readings[0]
     equal = (EQUAL,) if len(values) > 1 and np.ptp(values) == 0 else ()
     return warnings + equal + ((f"tracers without a reading are left out: {listed(idle)}",) if idle else ())

@@ -43,7 +43,7 @@ from metrocli.tasks.shared.statistics import (
 )
 from metrocli.tasks.shared.uncontrolled import in_words
 from metrocli.uncertainty.predicted import COMMON, CORE
-from metrocli.words import listed
+from metrocli.words import counted, listed
 
 _UNITS = ("mm", "mm", "mm", "mm", "")
 _INDEPENDENT = (
@@ -243,7 +243,8 @@ def _warnings(solved: AdjustedTracers) -> list[str]:
         bound += " (w divided by sigma0, the largest by sigma0 without that length)"
     if suspected:
         lines.append(
-            f"{len(suspected)} lengths exceed {bound}: {listed(suspected, 5)}; `outliers: remove` leaves them out"
+            f"{counted(len(suspected), 'length', 'exceed')} {bound}: {listed(suspected, 5)}; "
+            "left out by `outliers: remove`"
         )
     if points:
         lines.append(
@@ -252,7 +253,7 @@ def _warnings(solved: AdjustedTracers) -> list[str]:
         )
     gone = _lost(solved)
     if gone:
-        lines.append(f"{len(gone)} points are left out, since too few of their lengths remain: {listed(gone)}")
+        lines.append(f"{counted(len(gone), 'point', 'are')} left out, since too few lengths remain: {listed(gone)}")
     lines += _elsewhere(solved)
     lines += scale_warnings(solved.network, solved.solution)
     return lines + layout_faults.warnings(solved.network, solved.solution)

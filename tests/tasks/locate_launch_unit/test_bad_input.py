@@ -34,6 +34,15 @@ def test_poses_on_one_beam_are_refused_with_the_reason(n: int) -> None:
     assert ("there is one pose" if n == 1 else f"all {n} poses lie on nearly one beam") in str(told.value)
 
 
+def test_noise_is_the_reason_where_beams_are_apart() -> None:
+    """The message blamed the layout: nearly one beam, within 26 degrees."""
+    noisy = replace(settings(), noise=LaunchUnitNoise(0.05))
+    with pytest.raises(UndeterminedError, match="each encoder angle is uncertain by 2.9 degrees") as refused:
+        locate_launch_unit.run(locate_launch_unit.TASK.job(noisy, poses=anywhere(8, 4).table()))
+    assert "what would determine it: angles with less noise" in str(refused.value)
+    assert "one beam" not in str(refused.value)
+
+
 @pytest.mark.parametrize("n", [1, 2, 5])
 def test_distances_save_them(n: int) -> None:
     result = locate_launch_unit.run(locate_launch_unit.TASK.job(settings(), on_one_beam(n, distances=True).table()))

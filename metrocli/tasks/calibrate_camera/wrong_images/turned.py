@@ -23,7 +23,7 @@ from metrocli.tasks.calibrate_camera.problem import CameraProblem
 from metrocli.tasks.calibrate_camera.settings import Files, Settings
 from metrocli.tasks.job import Job
 from metrocli.tasks.shared.images.adjustment import AdjustedImages
-from metrocli.words import listed
+from metrocli.words import counted, listed
 
 _FEWEST = 4
 """Fewest images; an image needs more readings: its pose and its principal point take up eight coordinates"""
@@ -65,8 +65,8 @@ def turned_images(problem: CameraProblem, adjusted: AdjustedImages) -> list[str]
     f = "f" if "f" in values else "fx"
     rest = len(turned) - len(names)
     return [
-        f"{len(names)} images are turned by 180 degrees, or the {rest} others are: {listed(names)}; "
-        f"with them turned back the squared residuals are {solution.cost / better.cost:.2g} times smaller and {f} = "
+        f"{counted(len(names), 'image', 'are')} turned by 180 degrees, or the {rest} others are: {listed(names)}; "
+        f"turned back, the squared residuals are {solution.cost / better.cost:.2g} times smaller and {f} = "
         f"{values[f]:.1f} px; save all images as the camera wrote them"
     ]
 

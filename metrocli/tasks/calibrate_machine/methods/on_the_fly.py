@@ -38,6 +38,7 @@ from metrocli.tasks.calibrate_machine.problem import MachineProblem, conditions,
 from metrocli.tasks.calibrate_machine.settings import Settings
 from metrocli.tasks.calibrate_machine.solve import AdjustedMachine, solve, solved_again
 from metrocli.tasks.calibrate_machine.volume import grid_group
+from metrocli.words import counted
 
 READINGS = "path"
 _SETTLED = 1e-4
@@ -263,6 +264,6 @@ def _without_wild(whole: TrackMeasurement, state: Mapping[str, Block]) -> TrackM
     facts = {**track.facts, "cut_off_path": count, "points_used": int(keep.sum())}
     warnings = (
         *track.warnings,
-        f"{count} points of the track are farther than {_WILD:g} sigma from the predicted path, and are removed",
+        f"{counted(count, 'point')} of the track removed: farther than {_WILD:g} sigma from the predicted path",
     )
     return replace(whole, track=replace(track.selected(keep), facts=facts, warnings=warnings))

@@ -18,7 +18,7 @@ from metrocli.tasks.shared.images.eccentricity import SIZE
 from metrocli.tasks.shared.images.search import shown_board, sight
 from metrocli.tasks.shared.images.settings import ImageSettings
 from metrocli.tasks.shared.images.target_list import TargetCoordinates, known_targets
-from metrocli.words import listed
+from metrocli.words import counted, listed
 
 START_NOISE = 0.1
 """Starting value of the noise [px] if it is estimated"""
@@ -120,7 +120,7 @@ def placed(sighted: Sighted, least: Index) -> Sighted:
             f"all {len(lost)} targets that are seen have unknown coordinates, and one image only shows each of them\n"
             "  what would determine them: the same targets in two images or more from different directions"
         )
-    line = f"left out: {len(lost)} targets are seen in one image only, which does not place them: {listed(lost)}"
+    line = f"left out: {counted(len(lost), 'target', 'are')} seen in one image only, which places none: {listed(lost)}"
     observations = sighted.observations.selected((seen >= least)[sighted.target])
     return replace(sighted, observations=observations, warnings=(*sighted.warnings, line))
 
@@ -158,7 +158,7 @@ def join(table: Table, targets: TargetCoordinates, sigma: float, fewest: int) ->
     unseen = np.flatnonzero(np.bincount(target[keep], minlength=len(targets.names)) == 0)
     if unseen.size:
         names = listed([targets.names[i] for i in unseen])
-        warnings.append(f"{unseen.size} targets of the list are seen in no image: {names}")
+        warnings.append(f"{counted(unseen.size, 'target')} of the list seen in no image: {names}")
     spread = table.numbers("sigma", sigma)
     _refuse(table, spread <= 0, "the standard deviation of an image point is not above zero")
     # numbers of the images that are kept, without gaps

@@ -227,15 +227,15 @@ def test_the_jobs_have_no_fault_before_they_are_spoilt(
 
 WARNED = {
     "a target in the list that no image shows": (
-        "board", rows("targets.csv", lambda table: [*table, ["X9", 900, 900, 0]]), "1 targets of the list are seen in no image: X9",
+        "board", rows("targets.csv", lambda table: [*table, ["X9", 900, 900, 0]]), "1 target of the list seen in no image: X9",
     ),
     "an image with too few targets": (
         "board", keep(lambda row: row[0] != "view06.png" or row[1] in ("T0", "T1", "T2")), "image view06.png has 3 targets, fewer than 4: left out",
     ),
     "a target that one image shows": (
-        "network", keep(lambda row: row[1] != "T7" or row[0] == "view01.png"), "left out: 1 targets are seen in one image only, which does not place them: T7",
+        "network", keep(lambda row: row[1] != "T7" or row[0] == "view01.png"), "left out: 1 target is seen in one image only, which places none: T7",
     ),
-    "poses without a sighting": ("align", keep(lambda row: row[0] != "image8"), "1 poses have no sighting: image8"),
+    "poses without a sighting": ("align", keep(lambda row: row[0] != "image8"), "1 pose has no sighting: image8"),
     "a camera without covariance": ("align", None, "the camera is taken as exact: its file contains no covariance"),
     "noise declared too small": ("cmm", text("job.yaml", "noise: 0.05 px", "noise: 0.01 px"), "the residuals are larger than the declared noise;"),
 }  # fmt: skip
