@@ -20,6 +20,7 @@ from metrocli.uncertainty.numbers import COVERAGE, effective, factor
 from metrocli.uncertainty.predicted import PredictedPlaces
 from metrocli.units import find_unit
 from metrocli.units.parsing import Range, range_of
+from metrocli.words import counted
 
 _ROUNDING = 1e-9
 """Share of the largest eigenvalue of a covariance below which others are rounding, and rounding of coordinates [mm]"""
@@ -219,7 +220,7 @@ def _laid(check: Table, measured: Array, onto: Array) -> Array:
     for points in (measured, onto):
         spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
         if len(points) < 3 or spread[1] <= _FLAT * spread[0]:
-            reason = f"{len(points)} points" if len(points) < 3 else "the points lie on one line, which"
+            reason = counted(len(points), "point") if len(points) < 3 else "the points lie on one line, which"
             hint = "expected three points off one line; `--aligned` takes points in the frame of the result"
             raise InputError([check.fault(f"{reason} cannot be laid onto the prediction", hint)])
     return poses.apply(poses.fit_pose(measured, onto), measured)

@@ -118,6 +118,8 @@ def test_all_estimates_in_one_table(project: Path, metrocli: Callable[..., Any])
     Path("table.csv").write_text("mine\n")
     assert metrocli("gather", ".", "--out", "table.csv").code == 3
     assert len(json.loads(metrocli("gather", ".", "--out", "other.csv", "--json").out)["rows"]) == 3
+    other = metrocli("gather", ".", "--out", "table.json")
+    assert other.code == 2 and "name it table.csv" in other.err and not Path("table.json").exists()
 
 
 def test_a_column_of_the_list_does_not_hide_one_of_the_results(project: Path, metrocli: Callable[..., Any]) -> None:

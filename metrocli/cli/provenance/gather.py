@@ -8,6 +8,7 @@ import click
 
 from metrocli.cli import options
 from metrocli.cli.console import Console, echo
+from metrocli.errors import UsageError
 
 
 @click.command("gather", help="Write estimates and uncertainties of all results of a project into one CSV table.")
@@ -24,6 +25,8 @@ def command(project: Path, out: Path, only: tuple[str, ...], force: bool, as_jso
     from metrocli.project.staleness import states
     from metrocli.project.steps import load_project, selected
 
+    if out.suffix.lower() not in ("", ".csv", ".txt"):
+        raise UsageError(f"--out {out}: gather writes CSV, so name it {out.stem}.csv; `--json` prints the same numbers")
     steps = load_project(project, accept_doubtful=True)
     chosen = {step.name for step in selected(steps, only, None)}
     table = table_of(state for state in states(steps) if state.step.name in chosen)

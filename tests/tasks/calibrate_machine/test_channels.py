@@ -95,6 +95,7 @@ def test_another_unit_is_named_by_its_line(case: str, outliers: str, job: Path, 
     assert "are swapped" not in ran.out + ran.err and "order of the axes" not in ran.out + ran.err
 
 
+@pytest.mark.slow
 def test_a_line_in_another_unit_is_diagnosed(job: Path, metrocli: Metrocli) -> None:
     """It was "clean, with 19 wrong readings"."""
     edited(job, scaled(1e3, "ex_mm", line="x"))
