@@ -107,7 +107,9 @@ class _Projection:
         if not len(self.free):
             return np.zeros(at.shape[1])
         count = self.readings.shape[1]
-        sample = self.readings[:, np.linspace(0, count - 1, min(count, _SAMPLE)).astype(int)]
+        # by their places: by their rows in the file the sample, and so the result, would depend on the order of these
+        placed = self.readings[:, np.lexsort(self.readings)]
+        sample = placed[:, np.linspace(0, count - 1, min(count, _SAMPLE)).astype(int)]
         seen, directions = self.lens.directions(sample), self.lens.directions(at)
         movement = np.linalg.lstsq(self.lens.by_movement(seen, depth), self._by_lens(sample, seen), rcond=None)[0]
         change = self._by_lens(at, directions) - self.lens.by_movement(directions, depth) @ movement

@@ -16,10 +16,16 @@ FOLDS = 10
 
 
 def in_parts(order: Array, count: int) -> Index:
-    """Return the part (n,) of each of n measurements: runs in this order, of about equally many."""
-    # argsort twice is the rank: equal times keep the order of the file
+    """Return the part (n,) of each of n measurements: runs in this order, of about equally many.
+
+    Readings at one time, such as the lengths of one stop, are in one part, whatever their order in the file. Too few
+    times for so many parts are no order: equal ones then keep that of the file.
+    """
+    first = np.searchsorted(np.sort(order), order)
+    # argsort twice is the rank
     rank = np.argsort(np.argsort(order, kind="stable"), kind="stable")
-    return np.asarray(rank * count // max(len(order), 1), dtype=np.intp)
+    together, apart = (np.asarray(each * count // max(len(order), 1), dtype=np.intp) for each in (first, rank))
+    return together if len(np.unique(together)) == len(np.unique(apart)) else apart
 
 
 def in_time(groups: Sequence[Group]) -> Iterator[Covariate]:

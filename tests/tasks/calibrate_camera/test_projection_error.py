@@ -43,6 +43,17 @@ def test_a_distortion_shows_where_no_reading_is() -> None:
     assert corner < 0.01 * 1000 * 0.64**3 * 1.2
 
 
+def test_the_order_of_the_readings_does_not_matter() -> None:
+    rng = np.random.default_rng(1)
+    lens, covariance = _LensDerivatives("forward", COLUMNS, VALUES), np.diag([0.5, 0.4, 0.4, 0.004]) ** 2
+    readings = rng.uniform(150, 800, (2, 900))
+    one, other = (
+        _Projection(lens, np.arange(4), covariance, each, None).std(CORNER)
+        for each in (readings, readings[:, rng.permutation(900)])
+    )
+    assert other == pytest.approx(one, rel=1e-9)
+
+
 def test_a_distorted_lens_moves_as_with_the_derivatives_of_opencv() -> None:
     columns, values = ("f", "cx", "cy", "k1", "k2"), np.array([900.0, 640.0, 480.0, -0.25, 0.06])
     square, distortion = np.array([[900.0, 0, 640], [0, 900, 480], [0, 0, 1]]), np.array([-0.25, 0.06, 0, 0])

@@ -13,7 +13,8 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
-from simulated import grid, launch, lengths
+from simulated import grid, launch, lengths, machine_lengths
+from simulated import machine as machines
 
 from benchmarks import shared_errors
 from metrocli.cli.diagnosis_report.findings import of_diagnosis
@@ -23,6 +24,9 @@ from metrocli.formats import csv
 from metrocli.project.diagnosed import carry_out, write_extended
 from metrocli.project.job import load
 from metrocli.result import Result
+from metrocli.table import Table
+from metrocli.tasks.calibrate_machine import task as calibrate_machine
+from metrocli.tasks.calibrate_machine.machine_settings import MachineNoise
 from metrocli.tasks.locate_launch_unit import task as locate_launch_unit
 from metrocli.tasks.multilaterate import task as multilaterate
 from metrocli.tasks.selfcal_grid import task as selfcal_grid
@@ -78,6 +82,20 @@ def network(model: str, points: int = 30, declared: float = 1.0) -> Result:
     )
     settings = replace(settings, noise=replace(size, model=model))
     return multilaterate.run(multilaterate.TASK.job(settings, net.lengths(), net.point_table(), net.tracer_table()))
+
+
+def test_lengths_of_one_stop_are_in_one_block_whatever_their_order_in_the_file() -> None:
+    rng = np.random.default_rng(482)
+    noise = MachineNoise(constant=0.3e-3, repeatability=2e-3, model="structured")
+    machine = machines.random_machine(rng, knots=(3, 3, 3))
+    read = machine_lengths.measured(machine, rng, 50, machines.THREE, noise=noise, repeatability=2e-3, together=True)
+    settings = machine_lengths.settings(machines.THREE, (3, 3, 3), noise)
+
+    def found(rows: Table) -> Result:
+        return calibrate_machine.run(calibrate_machine.TASK.job(settings, lengths=rows))
+
+    by_station, mixed = found(read), found(read.selected(rng.permutation(len(read))))
+    np.testing.assert_allclose(mixed.covariance, by_station.covariance, rtol=1e-5)
 
 
 def test_the_factor_of_the_declared_parts_is_found() -> None:
