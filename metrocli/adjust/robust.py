@@ -53,7 +53,12 @@ _ENOUGH = 8
 
 
 def robust_start(
-    blocks: Iterable[Block], groups: Sequence[Group], names: Sequence[str], datum: Datum | None = None, within: str = ""
+    blocks: Iterable[Block],
+    groups: Sequence[Group],
+    names: Sequence[str],
+    datum: Datum | None = None,
+    within: str = "",
+    always: bool = False,
 ) -> dict[str, Block]:
     """Return blocks near the solution, undisturbed by gross errors among the readings of some groups.
 
@@ -61,7 +66,8 @@ def robust_start(
     robust standard deviations remain, the groups are reweighted in rounds: first with 1/|v| (least absolute
     deviations), then with Tukey's biweight. The scale of each round is the median of the residuals of a group. `within`
     names an index of the readings, such as the image, whose members have their own scale: an image still far off is
-    not rejected as a whole.
+    not rejected as a whole. `always` reweights even if no residual remains beyond 8: several gross errors can spread
+    over all residuals.
     """
     state: Mapping[str, Block] = {block.name: block for block in blocks}
     chosen = [group for group in groups if group.name in names]
@@ -69,12 +75,13 @@ def robust_start(
     def shares() -> dict[str, Array]:
         return {group.name: _share(group, state, within) for group in chosen}
 
-    held = _reweighted(groups, {name: _least_absolute(share) for name, share in shares().items()})
+    start = {name: _least_absolute(share) if _is_gross(share) else None for name, share in shares().items()}
+    held = _reweighted(groups, start)
     # few steps: the weights belong to the start, and are wrong as soon as the values have left it
     first = adjust(state.values(), held, datum, StoppingRule(limit=15, covariance=False))
     state = first.blocks
     # with one scale for all: a member that is lost as a whole hides behind its own
-    if first.outcome is Outcome.NO_START or max(_share(group, state).max(initial=0.0) for group in chosen) <= _GROSS:
+    if first.outcome is Outcome.NO_START or not (always or any(_is_gross(_share(group, state)) for group in chosen)):
         return dict(state)
     share = shares()
     for turn in range(_ROUNDS):
@@ -82,7 +89,8 @@ def robust_start(
             break
         # least absolute deviations first: the biweight ignores what is far off, so it needs a start that is near
         weigh = _least_absolute if turn < _ROUNDS // 2 else _biweight
-        held = _reweighted(groups, {name: weigh(sizes) for name, sizes in share.items()})
+        spared = {name for name, sizes in share.items() if not (always or turn >= _ROUNDS // 2 or _is_gross(sizes))}
+        held = _reweighted(groups, {name: None if name in spared else weigh(sizes) for name, sizes in share.items()})
         control = StoppingRule(limit=8, covariance=False)
         near = control if turn == _ROUNDS - 1 else replace(control, tolerance=_NEAR)
         state = adjust(state.values(), held, datum, near).blocks
@@ -90,9 +98,14 @@ def robust_start(
     return dict(state)
 
 
-def _least_absolute(share: Array) -> Array | None:
-    """Return weights 1/|v|, at most 1; None if no reading is far off."""
-    return None if share.max(initial=0.0) <= _GROSS else 1 / np.maximum(share, 1.0)
+def _is_gross(share: Array) -> bool:
+    """Return whether a reading is far off."""
+    return bool(share.max(initial=0.0) > _GROSS)
+
+
+def _least_absolute(share: Array) -> Array:
+    """Return weights 1/|v|, at most 1."""
+    return np.asarray(1 / np.maximum(share, 1.0))
 
 
 def _biweight(share: Array) -> Array:

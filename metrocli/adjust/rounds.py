@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import TypeVar
+from typing import Protocol, TypeVar
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from metrocli.adjust.outcome import Outcome
 from metrocli.adjust.robust import Suspects
 from metrocli.adjust.solution import Residuals, Solution
 from metrocli.arrays import Array, Index, Mask
-from metrocli.errors import UndeterminedError
+from metrocli.errors import NoSolutionError, UndeterminedError
 from metrocli.frozen import dataclass
 
 Noise = Callable[[Group, Mapping[str, Block]], Array]
@@ -89,6 +89,8 @@ P = TypeVar("P")
 S = TypeVar("S")
 MOST = 30
 """Rounds after which an iteration that has not ended is left as it is"""
+_CHANCE = 1e-2
+"""Probability of residuals as large by chance below which they contradict the declared noise"""
 _CONTROLLED = 1e-6
 """Redundancy of all readings below which they show nothing of their noise"""
 
@@ -108,6 +110,37 @@ def in_rounds(
             break
         solved = solve(state)
     return state, solved
+
+
+class Adjusted(Protocol):
+    """What rounds of removal end with."""
+
+    @property
+    def solution(self) -> Solution:
+        """The last adjustment."""
+
+
+A = TypeVar("A", bound=Adjusted)
+
+
+def undisturbed(solved: Callable[[bool], A]) -> A:
+    """Return what rounds of removal end with: from a reweighted start where only this agrees with the declared noise.
+
+    Several gross errors raise sigma0, and with it the bound of each other's tests. `solved` runs the rounds; its
+    argument is whether the start is reweighted even if no residual stands out there.
+    """
+    plain = solved(False)
+    if not _contradicts(plain.solution):
+        return plain
+    try:
+        other = solved(True)
+    except NoSolutionError:
+        return plain
+    return plain if _contradicts(other.solution) else other
+
+
+def _contradicts(solution: Solution) -> bool:
+    return solution.p_value < _CHANCE
 
 
 @dataclass(frozen=True)

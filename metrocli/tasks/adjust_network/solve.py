@@ -11,17 +11,17 @@ from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.outcome import Outcome
 from metrocli.adjust.robust import critical_value, robust_start
-from metrocli.adjust.rounds import adjust_with_iterated_weights, in_rounds
+from metrocli.adjust.rounds import adjust_with_iterated_weights, in_rounds, undisturbed
 from metrocli.adjust.solution import Residuals, Solution, residuals_of
-from metrocli.arrays import Array, Index, Mask
+from metrocli.arrays import Index, Mask
 from metrocli.doubt import MANY_LEFT_OUT
 from metrocli.errors import NotConvergedError, UndeterminedError
 from metrocli.frozen import dataclass
-from metrocli.geometry import poses
 from metrocli.instruments import stations as s
 from metrocli.instruments import tracer as t
 from metrocli.tasks.adjust_network.groups import LENGTHS, ROW, is_certified, is_sighting
 from metrocli.tasks.adjust_network.noise import component
+from metrocli.tasks.adjust_network.origin import moved, to_origin
 from metrocli.tasks.adjust_network.problem import FREEDOMS, Network, must_be_held
 from metrocli.tasks.adjust_network.settings import Settings
 from metrocli.tasks.adjust_network.starts.contradictions import (
@@ -36,7 +36,9 @@ from metrocli.tasks.adjust_network.suspects import (
     SuspectedReading,
     contradictions,
     have_one_cause,
+    misfitting,
     suspected,
+    with_gross,
     worst_of_points,
 )
 from metrocli.tasks.shared.mirror import Mirrored
@@ -98,17 +100,22 @@ def solve(settings: Settings, network: Network, remove: bool) -> AdjustedNetwork
     must_be_held(settings, network)
     _must_be_checked(network)
     must_agree_with_setups(network)
+    solved = undisturbed(lambda always: _solved(network, True, always)) if remove else _solved(network, False)
+    return replace(solved, second=decided_places(solved.network, solved.solution))
+
+
+def _solved(network: Network, remove: bool, always: bool = False) -> AdjustedNetwork:
     every, wrong = network, removable(network) if remove else {}
     lost = tuple(contradictions(network, wrong, network.blocks))
     network = _without(network, network.blocks, lost) if lost else network
-    network = network.with_blocks(_robust(network))
+    network = network.with_blocks(_robust(network, always))
     # tested where the others put their points: a point may have started where the wrong one alone puts it
     lost = tuple(contradictions(every, wrong, network.blocks))
     wrong = contradicting(network, network.blocks)
     if wrong and not remove:
         raise refusal(network, wrong)
-    out = tuple(contradictions(network, wrong, network.blocks))
-    begun = _Used(_without(network, network.blocks, out) if out else network, (*lost, *out))
+    if always:
+        wrong = with_gross(wrong, network, network.blocks)
 
     def renewed(used: _Used, solved: AdjustedNetwork) -> tuple[_Used, bool]:
         if not remove or not solved.suspects:
@@ -116,8 +123,16 @@ def solve(settings: Settings, network: Network, remove: bool) -> AdjustedNetwork
         worst = tuple(worst_of_points(solved.suspects))
         return _Used(_without(solved.network, solved.solution.blocks, worst), (*used.out, *worst)), True
 
-    solved = in_rounds(begun, lambda used: _adjusted(used), renewed)[1]
-    return replace(solved, second=decided_places(solved.network, solved.solution))
+    def without(wrong: Mapping[str, Index]) -> AdjustedNetwork:
+        out = tuple(contradictions(network, wrong, network.blocks))
+        begun = _Used(_without(network, network.blocks, out) if out else network, (*lost, *out))
+        return in_rounds(begun, lambda used: _adjusted(used), renewed)[1]
+
+    solved = without(wrong)
+    if not always:
+        return solved
+    still = misfitting(wrong, network, solved.solution.blocks)
+    return without(still) if sum(map(len, still.values())) < sum(map(len, wrong.values())) else solved
 
 
 @dataclass(frozen=True)
@@ -141,21 +156,21 @@ def _weighted(network: Network) -> Solution:
     )
 
 
-def _robust(network: Network) -> dict[str, Block]:
-    """Return values that gross errors do not spoil."""
+def _robust(network: Network, always: bool = False) -> dict[str, Block]:
+    """Return values that gross errors do not spoil (`robust_start`)."""
     names = [name for name in network.model.measured if is_sighting(network.model.group(name))]
     wrong, state = contradicting(network, network.blocks), dict(network.blocks)
     if names:
         # what contradicts the set-ups would pull them: it waits until they are joined
         whole = {name: np.arange(network.model.group(name).observations.count) for name in wrong}
-        state = robust_start(state.values(), _waiting(network, whole), names, network.datum)
+        state = robust_start(state.values(), _waiting(network, whole), names, network.datum, always=always)
     if not wrong:
         return state
     # what contradicts them still is left to be named: one bar of 90 m among two would bend the whole network; lengths
     # take part, since they alone place their interferometers
     still = {name: rows for name, rows in contradicting(network, state).items() if name != LENGTHS}
     again = (name for name in wrong if name not in still)
-    return robust_start(state.values(), _waiting(network, still), (*names, *again), network.datum)
+    return robust_start(state.values(), _waiting(network, still), (*names, *again), network.datum, always=always)
 
 
 def _waiting(network: Network, rows: Mapping[str, Index]) -> list[Group]:
@@ -202,49 +217,12 @@ def _anchored(network: Network, solution: Solution) -> tuple[Network, Solution]:
     """Return the solution with the first station at the origin, where no list of points gives the frame."""
     if network.first < 0 or not solution.outcome.good or network.datum is None:
         return network, solution
-    move = _to_origin(network, solution)
-    blocks = {name: _moved(block, move) for name, block in solution.blocks.items()}
+    move = to_origin(network, solution)
+    blocks = {name: moved(block, move) for name, block in solution.blocks.items()}
     # the conditions are about the moved places: about the old ones they would move the network back
     datum = replace(network.datum, reference=blocks[t.POINT].values)
     there = network.with_model(replace(network.model, blocks=blocks, groups=solution.groups, datum=datum))
     return there, _weighted(there)
-
-
-def _to_origin(network: Network, solution: Solution) -> Array:
-    """Return the pose that brings the first station to the origin."""
-    name = network.readings.stations.names[network.first]
-    blocks = solution.blocks
-    if s.STATION in blocks and name in blocks[s.STATION].members:
-        # a turn would tilt the verticals of the levelled stations
-        level = any(kind in blocks for kind in (s.LEVELLED, s.OVER))
-        pose = blocks[s.STATION].row(name)
-        if not level:
-            return poses.inverse(pose)
-        return np.concatenate([-pose[:3], np.zeros(3)])
-    if t.TRACER in blocks and name in blocks[t.TRACER].members:
-        return np.concatenate([-blocks[t.TRACER].row(name)[:3], np.zeros(3)])
-    if s.LEVELLED in blocks and name in blocks[s.LEVELLED].members:
-        place = blocks[s.LEVELLED].row(name)
-    else:
-        place = blocks[t.POINT].values[network.readings.stations.over[network.first]]
-    round_ = next(i for i, (station, _) in enumerate(network.readings.sightings.rounds) if station == network.first)
-    # a listed orientation has fixed the turn of the network already
-    known = np.isfinite(network.readings.stations.gamma).any()
-    gamma = 0.0 if known else float(blocks[s.ORIENTATION].values[round_, 0])
-    return poses.inverse(np.array([*place, 0.0, 0.0, gamma]))
-
-
-def _moved(block: Block, move: Array) -> Block:
-    """Return a block after a rigid motion of the network."""
-    values = block.values.copy()
-    if block.name in (t.POINT, s.LEVELLED, t.TRACER):
-        values[:, :3] = poses.apply(move, values[:, :3])
-    elif block.name == s.STATION:
-        values = poses.compose(move, values)
-    elif block.name == s.ORIENTATION:
-        # listed orientations are fixed, and the network does not turn against them
-        values = values + move[5] * block.free
-    return block.with_values(values)
 
 
 def _must_be_checked(network: Network) -> None:

@@ -9,14 +9,17 @@ import numpy as np
 
 from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.groups import Group
-from metrocli.adjust.robust import FitQuality, as_likely, suspects
+from metrocli.adjust.robust import FitQuality, as_likely, gross, suspects
 from metrocli.adjust.solution import Residuals, Solution
 from metrocli.arrays import Index
 from metrocli.doubt import MANY_LEFT_OUT, MOST_REJECTED
 from metrocli.frozen import dataclass
 from metrocli.instruments.tracer import POINT
-from metrocli.tasks.adjust_network.groups import GIVEN_POINTS, OF_POINT
+from metrocli.tasks.adjust_network.groups import GIVEN_POINTS, OF_POINT, is_sighting
 from metrocli.tasks.adjust_network.problem import Network
+
+_INNOCENT = 3.0
+"""A reading left out at the start is used again if its residual is less than this many standard deviations"""
 
 
 @dataclass(frozen=True)
@@ -82,6 +85,24 @@ def contradictions(
         tests = np.abs(group.observations.whitened(group.residuals(blocks))).max(axis=0)
         for row in rows.tolist():
             yield _suspect(group, row, float(tests[row]))
+
+
+def with_gross(wrong: Mapping[str, Index], network: Network, blocks: Mapping[str, Block]) -> dict[str, Index]:
+    """Return rows of wrong readings by group, with those of the sightings that are far off at values of the blocks."""
+    rows = dict(wrong)
+    for group in (network.model.group(name) for name in network.model.measured):
+        far = np.flatnonzero(gross(group, blocks)) if is_sighting(group) else ()
+        if len(far):
+            rows[group.name] = np.union1d(rows.get(group.name, far), far)
+    return rows
+
+
+def misfitting(wrong: Mapping[str, Index], network: Network, blocks: Mapping[str, Block]) -> dict[str, Index]:
+    """Return the rows of wrong readings that do not fit the values either; the others can be used again."""
+    return {
+        name: rows[[suspect.test > _INNOCENT for suspect in contradictions(network, {name: rows}, blocks)]]
+        for name, rows in wrong.items()
+    }
 
 
 def _suspect(group: Group, row: int, test: float) -> SuspectedReading:

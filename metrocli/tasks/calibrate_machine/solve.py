@@ -11,7 +11,7 @@ from metrocli.adjust.adjustment import adjust
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.outcome import Outcome
 from metrocli.adjust.robust import FitQuality, Suspects, gross, robust_start, suspects
-from metrocli.adjust.rounds import adjust_with_iterated_weights, in_rounds, worst_of
+from metrocli.adjust.rounds import adjust_with_iterated_weights, in_rounds, undisturbed, worst_of
 from metrocli.adjust.solution import Residuals, Solution, residuals_of
 from metrocli.arrays import Array, Index
 from metrocli.doubt import MANY_LEFT_OUT, MOST_REJECTED
@@ -80,21 +80,29 @@ def solve(problem: MachineProblem, remove: bool) -> AdjustedMachine:
     adjustment does not converge.
     """
     identified = identify(problem)
-    start = robust_start(identified.blocks.values(), problem.groups, (problem.readings.name,))
-    whole = _KeptReadings(problem.with_blocks(start), identified, ())
-    begun = whole.without_gross() if remove else whole
+
+    def whole(always: bool = False) -> _KeptReadings:
+        start = robust_start(identified.blocks.values(), problem.groups, (problem.readings.name,), always=always)
+        return _KeptReadings(problem.with_blocks(start), identified, ())
+
+    def without_wrong(always: bool) -> AdjustedMachine:
+        return in_rounds(whole(always).without_gross(), _KeptReadings.solved, fewer)[1]
 
     def fewer(used: _KeptReadings, solved: AdjustedMachine) -> tuple[_KeptReadings, bool]:
         worst, suspected = worst_of(solved.suspects), solved.suspects
-        if not remove or not worst.size:
+        if not worst.size:
             return used, False
         adjusted = replace(used, problem=solved.problem.with_blocks(solved.solution.blocks))
         return adjusted.without(suspected.rows[worst], suspected.tests[worst]), True
 
-    try:
-        solved = in_rounds(begun, _KeptReadings.solved, fewer)[1]
-    except NoSolutionError as error:
-        raise error if remove else _contradicted(whole, error) from error
+    if remove:
+        solved = undisturbed(without_wrong)
+    else:
+        begun = whole()
+        try:
+            solved = begun.solved()
+        except NoSolutionError as error:
+            raise _contradicted(begun, error) from error
     must_be_decided(solved.second)
     return solved
 

@@ -155,9 +155,10 @@ def _wrong(sight: _Sight, bound: float) -> list[int]:
     return everything
 
 
-def undisturbed_start(network: TracerNetwork) -> dict[str, Block]:
-    """Return the values of the blocks near the solution, undisturbed by gross errors."""
-    return robust_start(network.blocks.values(), [network.lengths, *network.others], (LENGTHS,), network.datum)
+def undisturbed_start(network: TracerNetwork, always: bool = False) -> dict[str, Block]:
+    """Return the values of the blocks near the solution, undisturbed by gross errors (`robust_start`)."""
+    groups = [network.lengths, *network.others]
+    return robust_start(network.blocks.values(), groups, (LENGTHS,), network.datum, always=always)
 
 
 def quick_start(network: TracerNetwork) -> dict[str, Block]:

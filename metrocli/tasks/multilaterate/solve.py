@@ -13,7 +13,7 @@ from metrocli.adjust.medians import median
 from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.robust import as_likely, critical_value
-from metrocli.adjust.rounds import adjust_with_iterated_weights, in_rounds
+from metrocli.adjust.rounds import adjust_with_iterated_weights, in_rounds, undisturbed
 from metrocli.adjust.solution import Residuals, Solution, residuals_of
 from metrocli.arrays import Array, Mask, extents
 from metrocli.effects.estimates import absorbed
@@ -129,13 +129,19 @@ def solve(network: TracerNetwork, remove: bool, tested: bool = True) -> Adjusted
     Raises UndeterminedError if the layout does not determine the points, NotConvergedError if the adjustment does not
     converge or converges far from the mover's readings.
     """
+    if remove and tested:
+        return undisturbed(lambda always: _solved(network, True, True, always))
+    return _solved(network, remove, tested)
+
+
+def _solved(network: TracerNetwork, remove: bool, tested: bool, always: bool = False) -> AdjustedTracers:
     out = too_few(network) if remove else {}
     start = network.only(_kept(network, out))
     groups = [start.lengths, *start.others]
     if network.effects:
         # before the start: an absorbed effect could become very large there
         _must_see_effects(start, covariance_at(start.blocks.values(), groups, start.datum))
-    state = undisturbed_start(start) if remove else quick_start(start)
+    state = undisturbed_start(start, always) if remove else quick_start(start)
     # of a large network only the adjustment is checked: this costs nearly as much as it does
     if len(network.nominal) <= _SMALL_ENOUGH:
         must_carry(start, covariance_at(state.values(), groups, start.datum), network)
@@ -219,15 +225,12 @@ def _must_be_near(network: TracerNetwork, solution: Solution) -> None:
     away = np.linalg.norm(solution.blocks[t.POINT].values[seen] - network.nominal[seen], axis=1)
     middle = float(median(away))
     if middle > _ASTRAY * extents(network.nominal[seen]).max() + _noise_of(network):
-        size = _size(solution.blocks[t.POINT].values[seen]) / _size(network.nominal[seen])
+        spreads = (places[seen].var(axis=0).sum() for places in (solution.blocks[t.POINT].values, network.nominal))
+        size = np.sqrt(np.divide(*spreads))
         scaled = f"the points found are {size:.2g} times as far apart as those of the list: check units and scales"
         placed = APART + _DELAY * network.absolute if np.isfinite(network.listed_at).all() else _NO_PLACES
         why = scaled if abs(size - 1) > _ASTRAY else placed
         raise NotConvergedError(f"the points found lie {middle:.3g} mm from their listed places (median): {why}")
-
-
-def _size(points: Array) -> float:
-    return float(np.linalg.norm(points - points.mean(axis=0)))
 
 
 def _noise_of(network: TracerNetwork) -> float:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from simulated.network import Network, network
+from simulated.network import Network, network, sigmas
 
 from metrocli.formats import hdf5
 from metrocli.project.job import load
@@ -183,3 +183,15 @@ def test_a_job_without_its_outliers_is_diagnosed(
     ran = metrocli("diagnose", wrong(hall()).write(tmp_path, more="outliers: remove\n"), "--quick")
     assert ran.code == 0, ran.err
     assert "without the reading that `outliers: remove` leaves out" in ran.out
+
+
+@pytest.mark.parametrize("seed", [34, 56])
+def test_wrong_readings_do_not_hide_each_other(seed: int, tmp_path: Path) -> None:
+    """A twentieth of the readings off by 8 to 60 sigma: sigma0 was above 7, and most of them stayed."""
+    rng = np.random.default_rng([77, seed])
+    net = network(rng)
+    sigma = sigmas(net.seen)
+    wrong = rng.random(sigma.shape) < 0.05
+    off = np.where(wrong, sigma * rng.uniform(8, 60, sigma.shape) * rng.choice([-1, 1], sigma.shape), 0.0)
+    job = load(net.with_effect(off).write(tmp_path, "outliers: remove\n"))
+    assert adjust_network.run(content(job)).statistics["sigma0"] < 1.3

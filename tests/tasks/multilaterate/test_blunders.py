@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from simulated.lengths import network, on_line, places, settings
+from simulated.lengths import NOISE, network, on_line, places, settings
 
 from benchmarks import blunders
 from metrocli.adjust.solution import residuals_of
@@ -224,3 +224,24 @@ def test_a_diagnosis_leaves_out_no_more_than_what_is_far_off(tmp_path: Path, met
     found = metrocli("diagnose", job, "--quick").out
     assert "without the reading that `outliers: remove` leaves out" in found
     assert "cable-wrap LT5 explains 84 % of the misfit" in found
+
+
+@pytest.mark.parametrize("seed", [5, 9, 27])
+def test_wrong_lengths_do_not_hide_each_other(seed: int) -> None:
+    """A twelfth of few lengths off by 30 sigma: sigma0 was 6 to 10, and with it the bound, so that all stayed."""
+    net, rng = network(20, 6, seed=seed), np.random.default_rng(seed)
+    sigma = np.hypot(NOISE.constant, NOISE.proportional * np.linalg.norm(net.points[:, None] - net.tracers, axis=2))
+    wrong = rng.random(sigma.shape) < 0.06
+    net.readings[wrong] += (30 * sigma * rng.choice([-1, 1], sigma.shape))[wrong]
+    result = multilaterate.run(multilaterate.TASK.job(settings(outliers="remove"), net.lengths(), net.point_table()))
+    rejected = set(zip(*(result.tables["rejected"].texts(key) for key in ("point", "tracer")), strict=True))
+    assert {(f"P{i}", f"T{j}") for i, j in np.argwhere(wrong)} <= rejected
+    assert result.statistics["p_value"] > 0.01
+
+
+def test_lengths_noisier_than_declared_are_not_left_out_for_it() -> None:
+    """Nothing is wrong but the noise, which is three times the declared one: a reweighted start does not make it fit."""
+    net = network(20, 6, seed=2, noise=3.0)
+    result = multilaterate.run(multilaterate.TASK.job(settings(outliers="remove"), net.lengths(), net.point_table()))
+    assert result.statistics["rejected"] == 0
+    assert result.statistics["sigma0"] > 2
