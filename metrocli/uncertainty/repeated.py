@@ -23,7 +23,7 @@ class Drift:
     rate: float
     """Slope of a straight line by least squares, weighted by the stated uncertainties; unit of the quantity per time"""
     std: float
-    """Standard uncertainty of the rate, from the stated uncertainties"""
+    """Standard uncertainty of the rate, from the stated uncertainties and what they are known with as weights"""
     unit: str
     expanded: float
     """U of the rate, with the t factor of the calibrations"""
@@ -97,16 +97,22 @@ def repeated(results: Sequence[Result], times: Sequence[float]) -> RepeatedCalib
 
 def _drift(name: tuple[str, str], rows: Sequence[Measured], at: Array) -> Drift:
     values, std = np.array([row.value for row in rows]), np.array([row.std for row in rows])
+    dof = np.array([row.dof for row in rows])
     # without a weight for all of them each counts alike
-    weights = 1 / std**2 if (std > 0).all() else np.ones(len(std))
+    weighted = bool((std > 0).all())
+    weights = 1 / std**2 if weighted else np.ones(len(std))
     moved = at - np.average(at, weights=weights)
     gradient = weights * moved / (weights * moved**2).sum()
     parts = gradient**2 * std**2
     variance = float(parts.sum())
+    # weights from estimated noise favour values that look better than they are (Kackar and Harville 1984): they add as
+    # much to the variance of the slope as they take from its estimate
+    rest = 1 - weights / weights.sum() - gradient * moved
+    flattered = 4 * float((parts * rest / dof).sum()) if weighted else 0.0
     # Welch-Satterthwaite over the calibrations (GUM G.4.1)
-    doubt = float(sum(part**2 / row.dof for part, row in zip(parts, rows, strict=True)))
+    doubt = float((parts**2 / dof).sum())
     k = float(factor(1, variance**2 / doubt if doubt > 0 else np.inf))
-    spread = float(np.sqrt(variance))
+    spread = float(np.sqrt(variance + flattered))
     # differences from the first: a slope of 1e-9 beside a value of 1e3 would lose its digits
     return Drift(*name, float(gradient @ (values - values[0])), spread, rows[0].unit, k * spread)
 
