@@ -18,6 +18,7 @@ from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.quantities import AtQuantity
 from metrocli.arrays import Array
 from metrocli.effects.covariates import (
+    STATED_RICH,
     Covariate,
     Covariates,
     StatedCorrelation,
@@ -118,7 +119,8 @@ def _misplaced(model: Model, error: StatedCorrelation, known: Mapping[str, Covar
 def _with_error(model: Model, error: StatedCorrelation, covariate: Covariate, node: Node) -> tuple[Model, list[Fault]]:
     groups = [group for group in model.readings if group.name in covariate.values]
     labels = [model.units_in(group, error.by) for group in groups]
-    smooth = smooth_functions(covariate, groups, labels, len(model.places[error.by].names) if error.by else 1)
+    many = len(model.places[error.by].names) if error.by else 1
+    smooth = smooth_functions(covariate, groups, labels, many, error.length)
     if smooth is None:
         words = f"correlated: too few readings{f' of each {error.by}' if error.by else ''} for an error over this"
         return model, [node.fault(words, "leave the entry out, or take readings of more of them together")]
@@ -132,7 +134,7 @@ def _with_error(model: Model, error: StatedCorrelation, covariate: Covariate, no
         hint = f"write a size above zero with its unit, at most {_MOST:g} times the declared noise of {noise:.2g} "
         hint += groups[0].observations.unit_of_each[0]
         return model, [at.fault(f"correlated: std: '{error.std}' is not a size of these readings", hint)]
-    turn = kernel(smooth.distances, error.length)
+    turn = kernel(smooth.distances, error.length, STATED_RICH)
     for group, (values, numbers), std in zip(groups, smooth.values, sizes, strict=True):
         basis = np.einsum("nm,nmk->kn", values, turn[numbers])
         model = _with_group(model, group.name, error, basis, std)

@@ -84,14 +84,19 @@ _MOST_COLUMNS, _MOST_NUMBERS = 600, 20_000_000
 _RESOLVED = 0.6
 """Least length of correlation, in distances of the knots"""
 _RICH = 0.02
-"""Smallest eigenvalue of a covariance of knots, relative to the largest, that counts"""
+"""Smallest eigenvalue of a covariance of knots, relative to the largest, that counts in a search"""
+_STEPS = 16
+"""Distances between knots to a stated length: what runs straight between them leaves 1 % of a standard deviation"""
+STATED_RICH = 1e-4
+"""The same as `_RICH` for a stated error: what is left out, 2 % of its standard deviation, stands in no uncertainty"""
 
 
 def smooth_functions(
-    covariate: Covariate, groups: Sequence[Group], labels: Sequence[Index], units: int
+    covariate: Covariate, groups: Sequence[Group], labels: Sequence[Index], units: int, length: float = 1.0
 ) -> SmoothFunctions | None:
     """Return the functions of a covariate at the readings of groups, whose units have `labels` (n,) each.
 
+    Errors of a stated `length` have knots close enough for it, as far as the columns allow.
     None where there are too few readings, too many units, or one value in all readings of a unit: the time of an image
     has no length in it.
     """
@@ -100,7 +105,7 @@ def smooth_functions(
     rows = sum(group.observations.readings.size for group in groups)
     along = (_AROUND,) if covariate.angle else _KNOTS.get(len(several[0]), _FEW_KNOTS)
     most, fewest = min(_MOST_COLUMNS, _MOST_NUMBERS // rows) // copies, min(map(_fewest, labels))
-    dense = max(_ENOUGH, fewest // _READINGS)
+    dense = max(_ENOUGH, fewest // _READINGS, 1 + int(_STEPS / length))
     count = next((knots for knots in along if knots <= dense and knots ** len(several[0]) <= most), 0)
     if count == 0 or fewest < _FEWEST or not lowest_and_spans(several, labels)[1].any():
         return None
@@ -118,11 +123,11 @@ def least_length(distances: Array) -> float:
     return _RESOLVED * float(np.min(distances[distances > 0]))
 
 
-def kernel(distances: Array, length: float) -> Array:
+def kernel(distances: Array, length: float, rich: float = _RICH) -> Array:
     """Return V, (knots, k), with `V V'` the Matern covariance (3/2) of unit variance of knots some distances apart."""
     x = np.sqrt(3) * distances / length
     values, vectors = np.linalg.eigh((1 + x) * np.exp(-x))
-    kept = values > _RICH * values[-1]
+    kept = values > rich * values[-1]
     return np.asarray(vectors[:, kept] * np.sqrt(values[kept]))
 
 

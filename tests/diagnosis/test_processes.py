@@ -170,7 +170,7 @@ def test_a_little_beside_the_effects_of_an_extended_job_is_explained() -> None:
 
 def test_a_little_beside_a_stated_smooth_error_alone_is_not_explained() -> None:
     """The job has no effect: what it states over the temperature is not a cause of what varies with the time."""
-    rng = np.random.default_rng([77, 20])
+    rng = np.random.default_rng([77, 22])
     m = lengths.measurement(rng, 100)
     off = rng.uniform(0.45, 0.54) * of_each(rng, m.t[:, None], m.tracer)[0] * m.sigma
     stated = StatedCorrelation("temp_degC", 0.5, "0.03 um")

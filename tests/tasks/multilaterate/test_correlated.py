@@ -10,10 +10,12 @@ from scipy.spatial.distance import pdist
 from benchmarks.hidden_effects import KINDS
 from metrocli.effects.correlated import StatedCorrelation, requests_of, with_all
 from metrocli.formats import hdf5
+from metrocli.project.job import JobOptions, load
+from metrocli.project.runner import compute
 from metrocli.project.yaml_text import parse
 from metrocli.tasks.calibrate_machine.diagnosis import covariates
 
-POINTS, KNOTS, LENGTH, STD, SIGMA = 40, 17, 0.25, 1.5e-3, 5e-4
+POINTS, KNOTS, LENGTH, STD, SIGMA = 40, 65, 0.25, 1.5e-3, 5e-4
 JOB = """metrocli: 1
 job: multilaterate
 inputs: {lengths: lengths.csv, points: points.csv, tracers: tracers.csv}
@@ -28,7 +30,7 @@ def matern(apart: np.ndarray) -> np.ndarray:
     return (1 + np.sqrt(3) * apart / LENGTH) * np.exp(-np.sqrt(3) * apart / LENGTH)
 
 
-def measured(seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def measured(seed: int, std: float = STD) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Write the files of a network whose tracers waver; return places, tracers and lengths (points, tracers)."""
     rng = np.random.default_rng(seed)
     points = rng.uniform([0, 0, 0], [1500, 1200, 900], (POINTS, 3))
@@ -36,7 +38,7 @@ def measured(seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     share = np.linspace(0, 1, POINTS)
     root = np.linalg.cholesky(matern(np.abs(share[:, None] - share)) + 1e-9 * np.eye(POINTS))
     lengths = np.linalg.norm(points[:, None] - tracers, axis=2) - 100.0
-    lengths += STD * root @ rng.normal(size=(POINTS, 4)) + SIGMA * rng.normal(size=(POINTS, 4))
+    lengths += std * root @ rng.normal(size=(POINTS, 4)) + SIGMA * rng.normal(size=(POINTS, 4))
     rows = [f"P{i},T{k + 1},{lengths[i, k]:.9f},{30 * i}" for k in range(4) for i in range(POINTS)]
     Path("lengths.csv").write_text("\n".join(["point,tracer,length_mm,t_s", *rows, ""]))
     for name, places, head in (("points", points, "P"), ("tracers", tracers, "T")):
@@ -51,7 +53,7 @@ def generalised(points: np.ndarray, tracers: np.ndarray, lengths: np.ndarray) ->
     """Return the points of a free network by least squares with the whole covariance of its lengths, and chi-squared."""
     knots = np.linspace(0, 1, KNOTS)
     values, vectors = np.linalg.eigh(matern(np.abs(knots[:, None] - knots)))
-    kept = values > 0.02 * values[-1]  # as the program leaves out what knots hardly show
+    kept = values > 1e-4 * values[-1]  # as the program leaves out what knots hardly show
     basis = np.stack([np.interp(np.linspace(0, 1, POINTS), knots, row) for row in np.eye(KNOTS)], axis=1)
     smooth = basis @ (vectors[:, kept] * values[kept]) @ vectors[:, kept].T @ basis.T
     weigh = np.linalg.inv(np.linalg.cholesky(SIGMA**2 * np.eye(POINTS) + STD**2 * smooth))
@@ -97,6 +99,19 @@ def test_the_result_is_that_of_generalised_least_squares(
     assert off[0] < 0.8 * off[1]
 
 
+def test_an_error_of_ten_times_the_noise_leaves_the_noise_as_declared(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What its functions left out was as large as the noise, in no stated uncertainty: sigma0 was 1.24."""
+    monkeypatch.chdir(tmp_path)
+    large = JobOptions(overrides=(STATED.replace("1.5 um", "5 um"),))
+    squares = []
+    for seed in range(8):
+        measured(seed, 10 * SIGMA)
+        squares.append(compute(load(Path("job.yaml"), large))[0].statistics["sigma0"] ** 2)
+    assert np.sqrt(np.mean(squares)) == pytest.approx(1.0, abs=0.12)
+
+
 def test_the_extended_job_states_what_diagnose_found_and_is_clean(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, metrocli: Callable[..., object]
 ) -> None:
@@ -117,7 +132,7 @@ def test_the_extended_job_states_what_diagnose_found_and_is_clean(
         ("{covariate: t_s, by: image, length: 0.25, std: 1 um}", "no 'image' of their own"),
         ("{covariate: t_s, by: tracer, only: T9, length: 0.25, std: 1 um}", "there is no tracer 'T9'"),
         ("{covariate: t_s, only: T1, length: 0.25, std: 1 um}", "`only` without `by`"),
-        ("{covariate: t_s, by: tracer, length: 0.03, std: 1 um}", "resolves no length below"),
+        ("{covariate: t_s, by: tracer, length: 0.005, std: 1 um}", "resolves no length below"),
         ("{covariate: t_s, by: tracer, length: 0.25, std: 1 px}", "is not a size of these readings"),
         ("{covariate: t_s, by: tracer, length: 0.25, std: 1 m}", "at most 1000 times the declared noise of 0.0005 mm"),
         (f"{ONE}, {ONE}", "the same error is listed twice"),
