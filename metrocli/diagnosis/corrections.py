@@ -44,8 +44,6 @@ class Mistake:
     """Steps that its try may take, starts included; a job that is read rightly takes 12 to 15"""
     entries: Mapping[str, str | Sequence[str]] = field(default_factory=dict, compare=False)
     """Of a section of the job: the right entries by their places in the job, "" for one that is left out"""
-    exchanges: bool = False
-    """Whether its correction exchanges two columns"""
 
     def __str__(self) -> str:
         return f"{self.input}: {self.words}"

@@ -20,8 +20,6 @@ from metrocli.effects.model import Model
 
 _OTHER_FITS = 2.0
 """Another setting is reported if it makes the squared residuals so many times smaller, or with fewer unknowns any"""
-_EXCHANGED = 1.4
-"""The same for two columns that are exchanged, by which an effect that is missing gains nothing"""
 _BY_CHANCE = 1e-4
 """Level of the F test that they are smaller by chance"""
 _FEWER = 3.0
@@ -51,9 +49,7 @@ def with_other_setting(job: AdjustedJob, others: Others) -> Mistaken | None:
     if count > (_MOST_FITTING if before <= _LARGER_NOISE**2 else MOST_ROWS):
         return None
     many = job.left_out >= MANY_LEFT_OUT
-    # large residuals have a large cause
-    least = _EXCHANGED if before <= _LARGER_NOISE**2 else _OTHER_FITS
-    hopeless = partial(_cannot_fit, size=size, most=before * _OTHER_FITS if many else before / least)
+    hopeless = partial(_cannot_fit, size=size, most=before * _OTHER_FITS if many else before / _OTHER_FITS)
     trials = others(float(np.sqrt(before * rows / dof)), job.left_out, hopeless)
     each = [
         (not (many and other.left_out * _FEWER <= job.left_out), _mean_square(other, size), mistake, other)
@@ -66,10 +62,7 @@ def with_other_setting(job: AdjustedJob, others: Others) -> Mistaken | None:
     as_many, after, mistake, other = min(each, key=lambda trial: trial[:2])
     ratio = before / max(after, 1e-12)
     # one set of readings gives both squares, which then differ less than the independent ones of an F test
-    fewer = _redundant(other) > dof
-    as_good = (ratio < _OTHER_FITS and not fewer) or f_tail(dof, dof, ratio) > _BY_CHANCE
-    if mistake.exchanges and not fewer:
-        as_good = ratio < _EXCHANGED or ratio ** (-dof / 2) > _BY_CHANCE
+    as_good = (ratio < _OTHER_FITS and _redundant(other) <= dof) or f_tail(dof, dof, ratio) > _BY_CHANCE
     # what leaves the readings absurd has to explain nearly all of it
     if after > ABSURD**2 and ratio < BETTER**2 and as_many:
         return None

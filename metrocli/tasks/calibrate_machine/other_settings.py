@@ -97,7 +97,6 @@ def _channels(job: Job[Settings, Files]) -> Iterator[tuple[Mistake, Job[Settings
 
     def other(words: str, write: str, changed: Mapping[str, Array], columns: int = 1) -> tuple[Mistake, Any]:
         mistake = Mistake("lines", words, write, file=lines.file, sort="channels", columns=columns)
-        mistake = replace(mistake, exchanges=words.endswith("swapped"))
         return mistake, job.with_files(lines=lines.changed(changed))
 
     single = tuple((channel,) for channel in CHANNELS)

@@ -189,11 +189,3 @@ def test_the_unit_of_displacement_alone(factor: float, job: Path, metrocli: Metr
     ran = metrocli("calibrate-machine", job.with_name("displacement.yaml"))
     assert ("ex_mm is in um: with this corrected" in ran.out + ran.err) == (factor == 1000)
     assert ("983 times smaller point to a wrong unit of the readings or of the noise" in ran.out) == (factor < 1)
-
-
-def test_an_exchange_in_one_line_is_named_though_the_rest_hides_it(job: Path, metrocli: Metrocli) -> None:
-    """It was done at sigma0 1.29, and two errors of screws were named."""
-    edited(job, lambda row: row | ({"ex_mm": row["ey_mm"], "ey_mm": row["ex_mm"]} if row["line"] == "z" else {}))
-    ran = metrocli("calibrate-machine", job)
-    assert ran.code == 6 and "ex and ey of line z are swapped" in ran.out + ran.err
-    assert "ex and ey of line z are swapped" in metrocli("diagnose", job).out
