@@ -91,6 +91,8 @@ MOST = 30
 """Rounds after which an iteration that has not ended is left as it is"""
 _CHANCE = 1e-2
 """Probability of residuals as large by chance below which they contradict the declared noise"""
+_RAISED = 1.1
+"""sigma0 from which a raised bound of the tests can hide errors: of many readings, chance exceeds less already"""
 _CONTROLLED = 1e-6
 """Redundancy of all readings below which they show nothing of their noise"""
 
@@ -140,7 +142,7 @@ def undisturbed(solved: Callable[[bool], A]) -> A:
 
 
 def _contradicts(solution: Solution) -> bool:
-    return solution.p_value < _CHANCE
+    return solution.p_value < _CHANCE and solution.sigma0 > _RAISED
 
 
 @dataclass(frozen=True)
