@@ -29,7 +29,8 @@ def candidate_lines(adjusted: AdjustedJob, design: Detectability, found: Conclus
     Where a cause is not tested, these have the same reason, too. With None nothing was looked for yet: what residuals
     would exclude is `detectable`.
     """
-    open_yet, found = found is None, found or status.NOTHING
+    open_yet = found is None
+    found = found or status.NOTHING
     rows: dict[tuple[str, str, str], list[DetectableCandidate]] = {}
     for candidate in design.candidates:
         word = str(status.status(candidate, found))

@@ -35,7 +35,7 @@ _SHOWN = 1e-9
 """Share of the squares of a column below which those before it say all of it"""
 
 _HARDLY = 1e-4
-"""The same share, of columns with whose uncertainty readings are predicted"""
+"""Share of a unit column below which the other readings do not show a direction: no prediction has its uncertainty"""
 
 
 def fold_numbers(m: Measurement) -> list[int]:
