@@ -124,7 +124,8 @@ def compare(first: Result, second: Result) -> Comparison:
     if first.kind != second.kind:
         raise InputError(f"results of two kinds cannot be compared: {first.kind} and {second.kind}")
     values, other = _of(first), _of(second)
-    common = [name for name in values.names if name in set(other.names)]
+    others = set(other.names)
+    common = [name for name in values.names if name in others]
     rows, columns = _rows(values, common), _rows(other, common)
     difference = other.values[columns] - values.values[rows]
     counted, joint = _by_shared(first, second, common)

@@ -150,7 +150,8 @@ def _between(table: Table | None, column: str, names: Sequence[str]) -> Lengths 
 
 
 def _must_be_points(chosen: Iterable[str], names: Sequence[str]) -> None:
-    unmatched = [name for name in chosen if name not in set(names)]
+    known = set(names)
+    unmatched = [name for name in chosen if name not in known]
     if unmatched:
         raise InputError(f"datum_points: no file names the points {listed(unmatched)}")
 

@@ -152,7 +152,8 @@ def _with_poses(
         hint = "add a row with its spindle position"
         raise InputError([Fault(f"there is no pose for image '{name}'", table.file, hint=hint) for name in images])
     rows = np.array([place[name] for name in exposed.names], dtype=np.intp)
-    unused = [name for name in place if name not in set(exposed.names)]
+    exposures = set(exposed.names)
+    unused = [name for name in place if name not in exposures]
     warnings = [f"{counted(len(unused), 'pose', 'have')} no sighting: {', '.join(unused[:8])}"] if unused else []
     warnings += [f"no image is that of {in_a_row(exposed.unused)}"] if exposed.unused else []
     of_reading = rows[exposed.exposure[sighted.view]]

@@ -239,7 +239,8 @@ def problem_of(settings: Settings, files: Files) -> PointPairs:
     names = points.texts("point")
     rows = [i for i, name in enumerate(names) if name in places]
     of = [places[names[i]] for i in rows]
-    alone = [name for name in names if name not in places], [name for name in places if name not in set(names)]
+    measured = set(names)
+    alone = [name for name in names if name not in places], [name for name in places if name not in measured]
     if len(rows) < _FEWEST:
         raise UndeterminedError(
             f"{counted(len(rows), 'point', 'are')} in both lists ({listed([names[i] for i in rows]) or 'no name is'}): "

@@ -57,7 +57,8 @@ def read(views: Sequence[View], half: Index, table: Table) -> GridReadings:
     ]
     if faults:
         raise InputError(sorted(faults, key=lambda fault: fault.line or 0)[:_MOST])
-    used = [view for view in views if view.name in set(written)]
+    read = set(written)
+    used = [view for view in views if view.name in read]
     place = {view.name: n for n, view in enumerate(used)}
     at = np.array([place[name] for name in written], dtype=np.intp)
     return GridReadings(tuple(used), at, balls, table.stacked("xyz"), table)
