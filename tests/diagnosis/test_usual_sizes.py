@@ -7,7 +7,9 @@ import pytest
 
 from benchmarks.hidden import lengths
 from metrocli.cli.diagnosis_report.candidates import candidate_lines
+from metrocli.cli.diagnosis_report.findings import _parameter
 from metrocli.diagnosis.diagnose import what_can_be_seen
+from metrocli.diagnosis.extended_fit import EffectSize
 from metrocli.diagnosis.status import NOTHING, Status, reason, status, usual_beside
 from metrocli.tasks.calibrate_camera.effects import EFFECTS as OF_CAMERAS
 from metrocli.tasks.locate_launch_unit.effects import EFFECTS as OF_LAUNCH_UNITS
@@ -48,3 +50,9 @@ def test_beside_what_cannot_be_seen_stands_the_size_for_which_it_falsifies_the_r
     lines = [line for line in candidate_lines(job, design, NOTHING) if "cannot-see" in line]
     assert lines and all("off by this if its size is" in line for line in lines)
     assert all("what it hides is for" in reason(one, Status.CANNOT_SEE) for one in unseen)
+
+
+def test_a_size_of_nearly_nothing_has_the_unit_of_its_uncertainty() -> None:
+    moved = EFFECTS["moved-target"].parameters[0]
+    assert _parameter(EffectSize(moved, 0.4, 27.0)) == "dx = 0 ± 27 mm"
+    assert _parameter(EffectSize(moved, 0.4, 0.03)) == "dx = 0.400 ± 0.030 mm"

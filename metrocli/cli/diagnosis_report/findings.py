@@ -291,8 +291,9 @@ def _parameter(size: EffectSize) -> str:
     if size.std is None:
         digits, partly = ("6g", "") if size.seen else ("2g", " (not seen)")
         return f"{key} {size.value:.{digits}} {size.parameter.unit}{partly}"
-    # to the unit in which a person reads the value, from the one in which the parameter is given
-    _, symbol = size.parameter.readable(size.value)
+    # to the unit in which a person reads the value, from the one in which the parameter is given; a value of nearly 0
+    # has the unit of its uncertainty: 0 ± 27 mm, not 0 ± 27000 um
+    _, symbol = size.parameter.readable(max(abs(size.value), size.std or 0.0))
     of_unit = units.find_unit(symbol, dimension).outside(1.0) if dimension and symbol != "1" else 1.0
     factor = of_unit / size.parameter.given
     return f"{key} = {units.format_quantity(size.value * factor, symbol, size.std * factor)}"

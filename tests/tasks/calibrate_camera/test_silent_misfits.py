@@ -100,3 +100,31 @@ def test_a_lens_beyond_its_readings_is_doubtful_unless_the_job_allows_it(tmp_pat
     assert ran.code == 6 and "In a corner the lens is uncertain by" in ran.out
     job.write_text(JOB + 'require: {corner_std: "< 1e9"}\n')
     assert metrocli("calibrate-camera", job, *rational).code == 0
+
+
+def test_points_in_the_corners_of_a_wide_lens_are_not_called_wrong(tmp_path: Path, metrocli: Metrocli) -> None:
+    """What the other points show of a board does not reach there, and the adjustment leaves little of these points."""
+    rng, rows = np.random.default_rng(12), []
+    points = np.array([(25.0 * i - 87.5, 25.0 * j - 62.5, 0.0) for j in range(6) for i in range(8)]).T
+    while len(rows) < 15:
+        a, b, c = (*rng.uniform(-0.7, 0.7, 2), rng.uniform(-0.3, 0.3))
+        turned = rotation([0, 0, c]) @ rotation([0, b, 0]) @ rotation([a, 0, 0]) @ points
+        x, y, z = turned + np.array([*rng.uniform(-120, 120, 2), rng.uniform(70, 140)])[:, None]
+        if z.min() < 10:
+            continue
+        far = np.hypot(x, y)
+        # pixels that are not square, which the job does not estimate
+        uv = 270 * np.arctan2(far, z) / far * np.stack([0.94 * x, y]) + [[352], [288]]
+        uv += rng.normal(0, 0.2, (48, 2)).T
+        if (uv > 0).all() and (uv < [[704], [576]]).all():
+            rows.append(uv)
+    lines = [f"i{i},{k},{u},{v}" for i, uv in enumerate(rows) for k, (u, v) in enumerate(uv.T)]
+    job = board(tmp_path, pinhole, 450.0)
+    (tmp_path / "observations.csv").write_text("\n".join(["image,target,u_px,v_px", *lines, ""]))
+    lines = [f"{k},{x},{y},0" for k, (x, y) in enumerate(points[:2].T)]
+    (tmp_path / "targets.csv").write_text("\n".join(["target,x_mm,y_mm,z_mm", *lines, ""]))
+    text = (
+        "metrocli: 1\njob: calibrate-camera\nrig: board\ninputs: {observations: observations.csv, targets: targets.csv}"
+    )
+    job.write_text(f"{text}\ncamera: {{image_size: [704, 576], model: fisheye}}\nnoise: structured\noutput: r.h5\n")
+    assert "off the view of the board" not in metrocli("calibrate-camera", job).out

@@ -38,6 +38,9 @@ FEW_VIEWS, _FEW_TARGETS = 2, 1 / 3
 """So many images contradict no listed place of a target, and others place a larger share of the targets than this"""
 _STEP, _FEW_POINTS = 1.0, 0.05
 """A point farther from the view of the others, in steps of the board, is wrong, if no larger share of an image is"""
+_LEFT = 0.5
+"""Share of that distance that an adjustment leaves of a wrong point: views of others do not reach the corners of a wide
+lens"""
 _SHOWN = 4
 """Most targets that are named in a message"""
 
@@ -59,6 +62,8 @@ class _SeenBoard:
     """Points that fit that view, (n,)"""
     places: Array
     """Places on the board where the points are seen, by those that fit a view, nan if none does, (n, 2)"""
+    left: Array | float
+    """Lengths of their residuals in an adjustment, (n,) [px]; infinite without one"""
 
     @property
     def fits(self) -> bool:
@@ -68,16 +73,19 @@ class _SeenBoard:
     @property
     def far(self) -> Index:
         """The points that are far from the view of the others, if they are few."""
-        far = np.flatnonzero(self.off > _STEP * self.step)
+        far = np.flatnonzero((self.off > _STEP * self.step) & (self.left > _LEFT * self.off))
         return far if len(far) <= max(_FEW_POINTS * len(self.off), 1) else far[:0]
 
 
-def strange_images(problem: CameraProblem, images: Group, residuals: Array | None = None) -> list[str]:
+def strange_images(
+    problem: CameraProblem, images: Group, residuals: Array | None = None, every: bool = True
+) -> list[str]:
     """Return which targets of a flat board lie elsewhere than listed, and which images or points fit no view of it.
 
     A few wrong points bend the view that all fit, and are no other order of the targets. Where half of the images or
-    more fit no view, the list is wrong rather than they, and none is returned. With residuals (2, n) only images whose
-    root mean square is far above that of the others are examined.
+    more fit no view, the list is wrong rather than they, and none is returned. `residuals` (2, n) are those of an
+    adjustment. With them, and without `every`, only images whose root mean square is far above that of the others are
+    examined.
     """
     rows = images.observations
     index, view = rows.index[camera.TARGET], rows.index[camera.VIEW]
@@ -89,10 +97,11 @@ def strange_images(problem: CameraProblem, images: Group, residuals: Array | Non
     if apart := in_two_frames(problem.sighted.targets.names, plane, views):
         return apart
     seen = []
-    for i in np.flatnonzero(_examined(view, residuals)).tolist():
+    for i in np.flatnonzero(_examined(view, None if every else residuals)).tolist():
         mine = view == i
         if determines_homography(plane[index[mine]]):
-            seen.append(_seen(problem.sighted.images[i], index[mine], plane, rows.readings[:, mine].T))
+            left = np.inf if residuals is None else np.hypot(*residuals[:, mine])
+            seen.append(_seen(problem.sighted.images[i], index[mine], plane, rows.readings[:, mine].T, left))
     back = poses.inverse(frame)
     if mixed := _in_another_unit(problem, seen, back):
         return mixed
@@ -108,7 +117,7 @@ def strange_images(problem: CameraProblem, images: Group, residuals: Array | Non
     return [*(orders if 2 * len(orders) < len(np.unique(view)) else []), *_points(seen, names)]
 
 
-def _seen(image: str, target: Index, plane: Array, uv: Array) -> _SeenBoard:
+def _seen(image: str, target: Index, plane: Array, uv: Array, left: Array | float) -> _SeenBoard:
     """Return an image with points uv (n, 2) of some targets of a board, all of which are at `plane` (m, 2)."""
     mine, step = plane[target], float(np.sqrt(np.ptp(uv, axis=0).prod() / len(uv)))
     fitting = fitting_a_view(mine, uv, GATE * step)
@@ -117,9 +126,9 @@ def _seen(image: str, target: Index, plane: Array, uv: Array) -> _SeenBoard:
     if fitting.any():
         places = projected(homography(uv[fitting], mine[fitting]), uv)
     if 2 * fitting.sum() <= len(uv):
-        return _SeenBoard(image, target, step, whole, np.full(len(uv), np.inf), fitting, places)
+        return _SeenBoard(image, target, step, whole, np.full(len(uv), np.inf), fitting, places, left)
     off = np.linalg.norm(seen_by_a_lens(mine[fitting], uv[fitting], mine) - uv, axis=1)
-    return _SeenBoard(image, target, step, whole, off, fitting, places)
+    return _SeenBoard(image, target, step, whole, off, fitting, places, left)
 
 
 def _in_another_unit(problem: CameraProblem, seen: Sequence[_SeenBoard], back: Array) -> list[str]:
@@ -190,7 +199,7 @@ def not_found(problem: CameraProblem, images: Group, residuals: Array) -> list[s
     off, most = np.hypot(*residuals), max(problem.image_size)
     typical, view = float(np.median(off)), images.observations.index[camera.VIEW]
     all_are_off = typical > _LOST * most
-    strange = strange_images(problem, images, None if all_are_off else residuals)
+    strange = strange_images(problem, images, residuals, all_are_off)
     if all_are_off and not strange:
         network = problem.rig == "network"
         one_frame = "the right names of targets, places of all rows of their list in one frame"

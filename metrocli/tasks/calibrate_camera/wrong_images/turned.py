@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from metrocli.adjust.adjustment import StoppingRule, adjust
+from metrocli.adjust.model.groups import Group
 from metrocli.adjust.solution import Solution
 from metrocli.arrays import Array, Mask
 from metrocli.diagnosis.corrections import Mistake
@@ -23,6 +24,7 @@ from metrocli.tasks.calibrate_camera.problem import CameraProblem
 from metrocli.tasks.calibrate_camera.settings import Files, Settings
 from metrocli.tasks.job import Job
 from metrocli.tasks.shared.images.adjustment import AdjustedImages
+from metrocli.tasks.shared.images.tables import root_mean_square, scatter
 from metrocli.words import counted, listed
 
 _FEWEST = 4
@@ -32,9 +34,9 @@ _CERTAIN = 3.0
 _GAIN = 50.0
 """Decrease of chi-square by turning images back from which they are named, in units of the residuals' variance"""
 _FITS = 4.0
-"""Variance, in that declared, above which something else is wrong ..."""
+"""Variance, in that declared or that of neighbouring points, above which something else is wrong ..."""
 _MUCH = 2.0
-"""... and how many times smaller turning images back has to make chi-square then"""
+"""... and how many times smaller turning images back has to make their own squares then"""
 _BETWEEN = 3.0
 """Least sum of squares of the two means, for each image, in that of noise"""
 _WITHIN = 0.3
@@ -52,13 +54,14 @@ def turned_images(problem: CameraProblem, adjusted: AdjustedImages) -> list[str]
     turned = _on_the_other_side(problem, adjusted, columns)
     if not turned.any():
         return []
-    better = _with_turned_back(problem, adjusted, turned)
+    better, group = _with_turned_back(problem, adjusted, turned)
     # measured by the better fit: turned images make the noise of their own fit large
     variance = max(better.cost / max(solution.dof, 1), 1e-12)
     if not np.isfinite(better.cost) or (solution.cost - better.cost) / variance < _GAIN:
         return []
+    ratio = _squares(adjusted.group, solution, turned) / _squares(group, better, turned)
     # a camera that still does not fit has another fault, which turning may happen to hide a little of
-    if variance > _FITS and solution.cost < _MUCH * better.cost:
+    if (variance if adjusted.noise is None else _in_scatter(group, better, problem)) > _FITS and ratio < _MUCH:
         return []
     names = [name for name, is_turned in zip(problem.sighted.images, turned, strict=True) if is_turned]
     values = better.blocks[camera.LENS].named()
@@ -66,13 +69,26 @@ def turned_images(problem: CameraProblem, adjusted: AdjustedImages) -> list[str]
     rest = len(turned) - len(names)
     return [
         f"{counted(len(names), 'image', 'are')} turned by 180 degrees, or the {rest} others are: {listed(names)}; "
-        f"turned back, the squared residuals are {solution.cost / better.cost:.2g} times smaller and {f} = "
-        f"{values[f]:.1f} px; save all images as the camera wrote them"
+        f"turned back, their squared residuals are {ratio:.2g} times smaller and {f} = {values[f]:.1f} px; save all "
+        "images as the camera wrote them"
     ]
 
 
-def _with_turned_back(problem: CameraProblem, adjusted: AdjustedImages, turned: Mask) -> Solution:
-    """Return the solution with the readings of some images turned by 180 degrees."""
+def _squares(group: Group, solution: Solution, images: Mask) -> float:
+    """Return the weighted sum of squared residuals of some images."""
+    residual = group.linear(solution.blocks, frozenset()).residual
+    return max(float((residual[:, images[group.observations.index[camera.VIEW]]] ** 2).sum()), 1e-12)
+
+
+def _in_scatter(group: Group, solution: Solution, problem: CameraProblem) -> float:
+    """Return the variance of residuals in that of neighbouring points, which an estimated noise does not hide."""
+    observations, residuals = group.observations, group.residuals(solution.blocks)
+    alone = scatter(residuals, observations.readings, observations.index[camera.VIEW], problem.image_size)
+    return float((root_mean_square(residuals) / max(alone, 1e-12)) ** 2)
+
+
+def _with_turned_back(problem: CameraProblem, adjusted: AdjustedImages, turned: Mask) -> tuple[Solution, Group]:
+    """Return the solution with the readings of some images turned by 180 degrees, and these readings."""
     group, (w, h) = adjusted.group, problem.image_size
     observations, readings = group.observations, group.observations.readings
     # W - 1 - u: pixel centres are whole numbers, and the first is 0
@@ -87,7 +103,7 @@ def _with_turned_back(problem: CameraProblem, adjusted: AdjustedImages, turned: 
     held = [block.fixed() if name != camera.VIEW else block for name, block in blocks.items()]
     moved = adjust(held, [group], None, StoppingRule(limit=30, covariance=False)).blocks
     freed = [replace(block, free=blocks[name].free) for name, block in moved.items()]
-    return adjust(freed, [group, *problem.others], problem.datum, StoppingRule(covariance=False))
+    return adjust(freed, [group, *problem.others], problem.datum, StoppingRule(covariance=False)), group
 
 
 def seen_from_behind(problem: CameraProblem) -> list[str]:
