@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import field
 from functools import cached_property
@@ -22,8 +21,6 @@ SQUARENESS, TOOL = "squareness", "tool"
 """Names of the blocks besides those of the axes"""
 SQUARENESS_NAMES = ("A0Z", "B0Z", "C0Y")
 ANGLES = ("A", "B", "C")
-_MARKED = "such as wCAbXYZt (two tables), wCbXYZBt (head and table) or wbXYZCAt (two heads)"
-_EACH_ONCE = f"each of X, Y, Z and at most two of A, B, C once, and b for the bed, {_MARKED}"
 ROWS = 9
 """Rows of an axis among the errors of all axes: six of its tables, then a shift of its line along X, Y, Z"""
 _MOST_LENGTH, _MOST_ANGLE = 1.0, 1e-3
@@ -49,28 +46,6 @@ def canonical(name: str) -> str:
     return name.replace("O", "0") if name in ("COY", "BOZ", "AOZ") else name
 
 
-def chain_of(text: str) -> tuple[str, ...]:
-    """Return the letters of the axes from the workpiece to the tool, and `b` for the bed, from a text like `wCAbXYZt`.
-
-    A machine without rotary axes has three linear ones, and its bed need not be marked: what it splits makes no
-    difference to first order. Raises ValueError if the text is not such a chain.
-    """
-    letters = tuple(re.sub(r"^w|t$", "", re.sub(r"[\s\[\]]", "", text)))
-    linear, turning = ([letter for letter in letters if letter in kind] for kind in (AXES, ANGLES))
-    if set(letters) - {*AXES, *ANGLES, "b"} or len(set(letters)) < len(letters) or len(turning) > 2:
-        raise ValueError(f"'{text}' is not a chain of axes from workpiece to tool: {_EACH_ONCE}")
-    if turning and "b" not in letters:
-        raise ValueError(f"'{text}' does not mark the bed with b: it decides which axes turn the workpiece; {_MARKED}")
-    if not turning and len(linear) != 3:
-        raise ValueError(f"'{text}' is not a chain of the axes X, Y and Z from workpiece to tool, such as wXbYZt")
-    return letters
-
-
-def axis_order(chain: str) -> tuple[int, ...]:
-    """Return the order of the linear axes (0 for X) from the workpiece to the tool; ValueError as in `chain_of`."""
-    return tuple(AXES.index(letter) for letter in chain_of(chain) if letter in AXES)
-
-
 @dataclass(frozen=True)
 class Axis:
     """The six error tables of an axis, linear between knots.
@@ -82,6 +57,21 @@ class Axis:
     letter: str
     knots: Array
     """Positions, ascending"""
+
+    @property
+    def turns(self) -> bool:
+        """Whether it is a rotary axis."""
+        return self.location != SQUARENESS
+
+    @property
+    def key(self) -> str:
+        """Its name in the headings of files, and in job files."""
+        return self.letter.lower()
+
+    @property
+    def unit(self) -> str:
+        """Internal unit of its positions."""
+        return "rad" if self.turns else "mm"
 
     @property
     def block(self) -> str:
@@ -96,7 +86,7 @@ class Axis:
     @property
     def coordinate(self) -> str:
         """Name of the condition that holds its commanded position."""
-        return self.letter.lower()
+        return self.key
 
     @property
     def location(self) -> str:
@@ -170,6 +160,10 @@ class Axis:
         """Return positions (n,), or of a rotary axis the knots nearest to them."""
         return position
 
+    def wrapped(self, position: Array) -> Array:
+        """Return positions (n,), of a periodic axis within its range."""
+        return position
+
     def motion(self, position: Array, errors: Array, location: Array) -> JointMotion:
         """Return the motion of the tool's side of the axis against its workpiece side at positions (n,).
 
@@ -214,12 +208,12 @@ class Machine:
     @property
     def turns(self) -> bool:
         """Whether it has rotary axes, so that its motion is not a sum of displacements."""
-        return any(axis.location != SQUARENESS for axis in self.axes)
+        return any(axis.turns for axis in self.axes)
 
     @property
     def only_turns(self) -> bool:
         """Whether it has no linear axes."""
-        return all(axis.location != SQUARENESS for axis in self.axes)
+        return all(axis.turns for axis in self.axes)
 
     @property
     def at_bed(self) -> int:
@@ -258,6 +252,10 @@ class Machine:
         """Return commanded positions (axes, n) as the conditions of readings."""
         return {axis.coordinate: own for axis, own in zip(self.axes, position, strict=True)}
 
+    def columns(self, position: Array) -> dict[str, Array]:
+        """Return commanded positions (axes, n) as columns of a table, by heading: "x [mm]", "a [rad]"."""
+        return {f"{axis.key} [{axis.unit}]": own for axis, own in zip(self.axes, position, strict=True)}
+
     @property
     def low(self) -> Array:
         """Lowest positions (axes,)."""
@@ -271,7 +269,7 @@ class Machine:
     @property
     def diagonal(self) -> float:
         """Length of the diagonal of the linear travels [mm]."""
-        return float(np.linalg.norm([np.ptp(axis.knots) for axis in self.axes if axis.location == SQUARENESS]))
+        return float(np.linalg.norm([np.ptp(axis.knots) for axis in self.axes if not axis.turns]))
 
     @property
     def home(self) -> Array:

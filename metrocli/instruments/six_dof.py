@@ -124,7 +124,7 @@ class Turn:
         disturbed, by_line = np.zeros((1, len(value), n)), np.zeros((1, len(COLUMNS), n))
         by_block: dict[str, Array] = {LINE: by_line}
         for number, axis in enumerate(self.machine.axes):
-            turns, error = given[ABOUT.format(axis=axis.letter.lower())], axis.number + 3
+            turns, error = given[ABOUT.format(axis=axis.key)], axis.number + 3
             sense = turns * (axis.sense if isinstance(axis, RotaryAxis) else 1)
             index, weight = axis.places(given[axis.coordinate])
             by_knots = np.zeros((len(weight), 1, 6, n))

@@ -53,7 +53,7 @@ def outside(result: Result, commanded: Table, key: str = "point", rows: Index | 
     whose = [f" of {key} '{text}'" for text in commanded.texts(key)] if key in commanded else [""] * len(commanded)
     chosen = np.arange(len(commanded))[rows]
     for axis in _machine(result).axes:
-        name, low, high = axis.letter.lower(), float(axis.knots[0]), float(axis.knots[-1])
+        name, low, high = axis.key, float(axis.knots[0]), float(axis.knots[-1])
         at = commanded.numbers(name)
         beyond = (at < low - _SLACK) | (at > high + _SLACK)
         hint = f"expected {low:g} to {high:g} mm: leave the {key} out"

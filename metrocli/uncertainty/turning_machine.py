@@ -13,9 +13,10 @@ from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Observations
 from metrocli.arrays import Array, Index
 from metrocli.errors import Fault, InputError
+from metrocli.instruments.axes.chain import chain_of
 from metrocli.instruments.axes.kinematics import reach
-from metrocli.instruments.axes.rotary import RotaryAxis, spindle_block
-from metrocli.instruments.machine import TOOL, Axis, Machine, chain_of, squareness_block, tool_block
+from metrocli.instruments.axes.rotary import RotaryAxis, spindle_block, turning_axes
+from metrocli.instruments.machine import TOOL, Axis, Machine, squareness_block, tool_block
 from metrocli.result import Result
 from metrocli.table import Table
 from metrocli.uncertainty.comparison import ENTRIES, TABLES
@@ -107,7 +108,7 @@ def _blocks(result: Result, machine: Machine) -> dict[str, Block]:
     }
     known = {estimate.name: estimate.value for estimate in result.estimates}
     blocks = [axis.block_of(values, ()) for axis in machine.axes]
-    blocks += [axis.location_block(known, ()) for axis in machine.axes if isinstance(axis, RotaryAxis)]
+    blocks += [axis.location_block(known, ()) for axis in turning_axes(machine)]
     blocks += [squareness_block(known, ()), spindle_block(known, ())]
     blocks.append(tool_block(machine.tools, result.tables["tools"].texts("tool"), 0.0))
     # all free, since their derivatives are wanted for the covariance of the result
@@ -119,12 +120,11 @@ def _position(machine: Machine, commanded: Table) -> Array:
     faults: list[Fault] = []
     position = []
     for axis in machine.axes:
-        name, unit = axis.letter.lower(), "deg" if isinstance(axis, RotaryAxis) else "mm"
+        name, unit = axis.key, "deg" if axis.turns else "mm"
         if name not in commanded:
             faults.append(commanded.fault(f"the column '{name}_{unit}' is missing", "the machine has this axis"))
             continue
-        own = commanded.numbers(name)
-        own = axis.wrapped(own) if isinstance(axis, RotaryAxis) else own
+        own = axis.wrapped(commanded.numbers(name))
         beyond = (own < axis.knots[0] - _SLACK) | (own > axis.knots[-1] + _SLACK)
         text = f"the commanded {name} is outside the calibrated axis"
         faults += commanded.faults_at(np.flatnonzero(beyond).tolist(), lambda _, text=text: text)  # type: ignore[misc]

@@ -14,8 +14,9 @@ from metrocli.adjust.model.observations import Observations
 from metrocli.arrays import Array
 from metrocli.instruments import machine as m
 from metrocli.instruments.axes import kinematics as k
+from metrocli.instruments.axes.chain import errors_by_word
 from metrocli.instruments.axes.error_motion import ErrorMotion, ReachedPoint, Undisturbed
-from metrocli.instruments.axes.rotary import RotaryAxis, errors_by_word, gauge, spindle_block
+from metrocli.instruments.axes.rotary import RotaryAxis, gauge, spindle_block
 
 POSES = 6
 

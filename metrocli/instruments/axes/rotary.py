@@ -7,7 +7,7 @@ the turning part, belong to the place of the axis and of what rides on it. So th
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from metrocli.adjust.model.quantities import Quantity
 from metrocli.arrays import Array, Index, Mask
 from metrocli.frozen import dataclass
 from metrocli.instruments.axes.joints import JointMotion, turn
-from metrocli.instruments.machine import ANGLES, AXES, SQUARENESS_NAMES, Axis, Machine, bracket, errors_of
+from metrocli.instruments.machine import ANGLES, AXES, Axis, Machine, bracket, errors_of
 
 SPINDLE = "spindle"
 SPINDLE_NAMES = ("EA0S", "EB0S", "EC0S")
@@ -42,40 +42,6 @@ def location_names(letter: str) -> tuple[str, ...]:
 LOCATIONS = tuple(name for letter in ANGLES for name in location_names(letter))
 ROTARY_ERRORS = tuple(name for letter in ANGLES for name in errors_of(letter))
 ROTARY_NAMES = (*ROTARY_ERRORS, *LOCATIONS, *SPINDLE_NAMES)
-WORDS = ("all", "rotary", "locations", "linear", "squareness")
-"""Words for several errors in `estimate:`"""
-
-
-def errors_by_word(chain: Sequence[str]) -> dict[str, tuple[str, ...]]:
-    """Return the errors of a machine that each word stands for; chain holds its axes from workpiece to tool, and b.
-
-    The zero position of a rotary axis is 0 by definition, except of a head that carries the tool, where it is the tilt
-    of the spindle in that plane; then two angles of the spindle are unknown too. All other tools have the machine's
-    axes. Of tables alone, with nothing that moves the tool, the axis next to the bed is the frame: it has no location.
-    So it is in a mount, of heads alone. There no reading shows the other axis, or the tool, along it or about it.
-    """
-    linear, turning = ([name for name in kind if name in chain] for kind in (AXES, ANGLES))
-    carries = chain[-1] if chain[-1] in ANGLES else ""
-    mount = chain[0] == "b" and not linear
-    frame = chain[1] if mount else chain[-2] if chain[-1] == "b" and not linear else ""
-    placed = [letter for letter in turning if letter != frame]
-    places = [
-        name for letter in placed for name in location_names(letter)[: 5 if letter == carries and not mount else 4]
-    ]
-    if mount:
-        places = [name for name in places if name[1] not in (frame, AXES[ANGLES.index(frame)])]
-    else:
-        places += [name for name in SPINDLE_NAMES if carries and name[1] != carries]
-    tables = {letter: errors_of(letter) for letter in (*linear, *turning)}
-    words = {
-        "linear": tuple(name for letter in linear for name in tables[letter]),
-        "squareness": tuple(
-            name for name, pair in zip(SQUARENESS_NAMES, ("YZ", "XZ", "XY"), strict=True) if set(pair) <= set(linear)
-        ),
-        "locations": tuple(places),
-        "rotary": (*(name for letter in turning for name in tables[letter]), *places),
-    }
-    return {"all": (*words["linear"], *words["squareness"], *words["rotary"]), **words}
 
 
 @dataclass(frozen=True)
@@ -100,7 +66,7 @@ class RotaryAxis(Axis):
     @property
     def coordinate(self) -> str:
         """Name of the condition that holds its commanded position."""
-        return ANGLE.format(axis=self.letter.lower())
+        return ANGLE.format(axis=self.key)
 
     @property
     def location(self) -> str:
@@ -118,7 +84,7 @@ class RotaryAxis(Axis):
         return np.zeros(6, dtype=bool)
 
     def wrapped(self, position: Array) -> Array:
-        """Return positions of a periodic axis within its range; those of others as they are."""
+        """Return positions (n,), of a periodic axis within its range."""
         low = self.knots[0]
         return np.asarray(low + np.mod(position - low, _TURN) if self.periodic else position)
 
@@ -215,19 +181,23 @@ class Combinations:
         return Step(np.asarray(applied)[:, None], by_block=derivatives)
 
 
+def turning_axes(machine: Machine) -> list[RotaryAxis]:
+    """Return the rotary axes of a machine."""
+    return [axis for axis in machine.axes if isinstance(axis, RotaryAxis)]
+
+
 def gauge(machine: Machine, blocks: Mapping[str, Block]) -> tuple[Group, ...]:
     """Return the conditions that hold the tables of the rotary axes apart from their locations, one group an axis."""
     groups = []
-    for axis in machine.axes:
-        if isinstance(axis, RotaryAxis):
-            block = blocks[axis.block]
-            weights = axis.conditions(block.free)
-            if len(weights):
-                # rad in place of mm: 1e-9 rad at a metre is what 1e-6 mm is
-                scale = np.where((np.abs(weights[:, :, 3:]) > 0).any(axis=(1, 2)), 1e-3 * _HELD, _HELD)
-                index = {axis.block: np.arange(len(block.members))[:, None]}
-                held = Observations(np.zeros((len(weights), 1)), scale[:, None], index)
-                groups.append(Group(f"gauge of {axis.letter}", Chain((Combinations({axis.block: weights}),)), held))
+    for axis in turning_axes(machine):
+        block = blocks[axis.block]
+        weights = axis.conditions(block.free)
+        if len(weights):
+            # rad in place of mm: 1e-9 rad at a metre is what 1e-6 mm is
+            scale = np.where((np.abs(weights[:, :, 3:]) > 0).any(axis=(1, 2)), 1e-3 * _HELD, _HELD)
+            index = {axis.block: np.arange(len(block.members))[:, None]}
+            held = Observations(np.zeros((len(weights), 1)), scale[:, None], index)
+            groups.append(Group(f"gauge of {axis.letter}", Chain((Combinations({axis.block: weights}),)), held))
     return tuple(groups)
 
 

@@ -10,7 +10,8 @@ from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.groups import Group, priors
 from metrocli.arrays import Array, Mask
 from metrocli.errors import Fault, InputError, UndeterminedError
-from metrocli.instruments.axes.rotary import SPINDLE_NAMES, RotaryAxis, location_names, spindle_block
+from metrocli.instruments.axes.chain import axis_order
+from metrocli.instruments.axes.rotary import SPINDLE_NAMES, RotaryAxis, location_names, spindle_block, turning_axes
 from metrocli.instruments.machine import (
     ANGLES,
     AXES,
@@ -18,7 +19,6 @@ from metrocli.instruments.machine import (
     TOOL,
     Axis,
     Machine,
-    axis_order,
     errors_of,
     squareness_block,
     tool_block,
@@ -74,7 +74,7 @@ def _turning(letter: str, axis: RotarySettings, head: bool) -> RotaryAxis:
 
 def error_names(machine: Machine) -> tuple[str, ...]:
     """Return the names of all errors of a machine: tables, squareness, locations with zero positions, spindle."""
-    turning = [axis.letter for axis in machine.axes if isinstance(axis, RotaryAxis)]
+    turning = [axis.letter for axis in turning_axes(machine)]
     tables = (name for axis in machine.axes for name in errors_of(axis.letter))
     places = (name for letter in turning for name in location_names(letter))
     return (*tables, *SQUARENESS_NAMES, *places, *(SPINDLE_NAMES if turning else ()))
@@ -88,7 +88,7 @@ def error_blocks(machine: Machine, settings: Settings) -> dict[str, Block]:
     estimated = settings.estimated
     blocks = [axis.block_of({}, estimated) for axis in machine.axes]
     blocks.append(squareness_block({}, estimated))
-    turning = [axis for axis in machine.axes if isinstance(axis, RotaryAxis)]
+    turning = turning_axes(machine)
     blocks += [axis.location_block({}, estimated) for axis in turning]
     if turning:
         blocks.append(spindle_block({}, estimated))
@@ -108,20 +108,15 @@ def commanded(machine: Machine, table: Table) -> Array:
     Raises InputError if an axis has no column, a column no axis, or if a position is outside the range of its axis.
     """
     raise_if(_columns(machine, table))
-    position = table.stacked([axis.letter.lower() for axis in machine.axes]).T
-    position = np.array(
-        [
-            axis.wrapped(own) if isinstance(axis, RotaryAxis) else own
-            for axis, own in zip(machine.axes, position, strict=True)
-        ]
-    )
-    margin = np.array([np.radians(_OUTSIDE) if isinstance(axis, RotaryAxis) else _OUTSIDE for axis in machine.axes])
+    position = table.stacked([axis.key for axis in machine.axes]).T
+    position = np.array([axis.wrapped(own) for axis, own in zip(machine.axes, position, strict=True)])
+    margin = np.array([np.radians(_OUTSIDE) if axis.turns else _OUTSIDE for axis in machine.axes])
     low, high = (machine.low - margin)[:, None], (machine.high + margin)[:, None]
     outside = (position < low) | (position > high)
     faults = [
         table.fault_at(
             int(row),
-            f"{axis.letter.lower()} = {placed(axis, position[number, row])} is outside the range of the axis, "
+            f"{axis.key} = {placed(axis, position[number, row])} is outside the range of the axis, "
             f"{placed(axis, axis.knots[0], '')} to {placed(axis, axis.knots[-1])}",
             _outside(axis, float(position[number, row]), table),
         )
@@ -139,8 +134,8 @@ def commanded(machine: Machine, table: Table) -> Array:
 
 def _fits_otherwise(machine: Machine, table: Table) -> bool:
     """Return whether all angles lie in the ranges of the axes if two are exchanged, or if gon are called degrees."""
-    turning = [axis for axis in machine.axes if isinstance(axis, RotaryAxis)]
-    read = [table.numbers(axis.letter.lower()) for axis in turning]
+    turning = turning_axes(machine)
+    read = [table.numbers(axis.key) for axis in turning]
     return any(
         all(_inside(axis, factor * own) for axis, own in zip(turning, angles, strict=True))
         for factor, angles in ((1.0, read[::-1]), (_GON, read))
@@ -154,7 +149,7 @@ def _inside(axis: RotaryAxis, angle: Array) -> bool:
 
 def _outside(axis: Axis, position: float, table: Table) -> str:
     """Return what to do about a position outside the range; a column of radians holds degrees if they then fit."""
-    letter = axis.letter.lower()
+    letter = axis.key
     if not isinstance(axis, RotaryAxis):
         return "the columns x, y, z hold the commanded positions"
     in_rad = table.headings.get(letter, "").endswith("_rad")
@@ -190,9 +185,8 @@ def _columns(machine: Machine, table: Table) -> Iterator[Fault]:
 
 def placed(axis: Axis, position: float, unit: str | None = None, decimals: int = 9) -> str:
     """Return a position of an axis as people write it: `12 mm`, `-90 deg`."""
-    turns = isinstance(axis, RotaryAxis)
-    own = ("deg" if turns else "mm") if unit is None else unit
-    return f"{round(float(np.degrees(position)) if turns else float(position), decimals) + 0.0:g} {own}".strip()
+    own = ("deg" if axis.turns else "mm") if unit is None else unit
+    return f"{round(float(np.degrees(position)) if axis.turns else float(position), decimals) + 0.0:g} {own}".strip()
 
 
 def must_support(machine: Machine, position: Array, blocks: Mapping[str, Block]) -> None:
@@ -209,8 +203,7 @@ def must_support(machine: Machine, position: Array, blocks: Mapping[str, Block])
             where = ", ".join(placed(axis, axis.members[i], "") for i in bare[:5]) + (" ..." if bare.size > 5 else "")
             knots = f"{len(axis.members)} knots of {axis.letter} (at {where} {placed(axis, 0.0)[2:]})"
             lines.append(
-                f"no reading is near {bare.size} of the {knots}: "
-                f"give {axis.letter.lower()} fewer knots, or measure there"
+                f"no reading is near {bare.size} of the {knots}: give {axis.key} fewer knots, or measure there"
             )
     if lines:
         raise UndeterminedError("\n".join(lines))

@@ -24,7 +24,7 @@ from metrocli.effects.model import Model
 from metrocli.geometry import poses
 from metrocli.instruments.axes.error_motion import ReachedPoint
 from metrocli.instruments.axes.kinematics import LINKS
-from metrocli.instruments.axes.rotary import RotaryAxis
+from metrocli.instruments.axes.rotary import RotaryAxis, turning_axes
 from metrocli.instruments.machine import TOOL, Machine
 from metrocli.instruments.six_dof import LINE
 from metrocli.instruments.tracer import TRACER, beams
@@ -72,7 +72,7 @@ def adjusted_job(solved: AdjustedMachine) -> AdjustedJob:
 def _delivered(machine: Machine, model: Model) -> Delivered:
     """Return what a calibration is for: the displacements of its tables, else the places of its rotary axes."""
     with_tables = [axis for axis in machine.axes if model.blocks[axis.block].free.any()]
-    places = [axis.location for axis in machine.axes if isinstance(axis, RotaryAxis)]
+    places = [axis.location for axis in turning_axes(machine)]
     if not with_tables and places:
         return Delivered("places of the rotary axes", places[0], (0, 1), "um", "length", tuple(places[1:]))
     first, *others = (axis.block for axis in machine.axes)
@@ -130,7 +130,7 @@ def covariates(model: Model) -> Iterator[Covariate]:
     joined = (link for link in group.chain.links if isinstance(link, LINKS) and not isinstance(link, ReachedPoint))
     axes = {axis.letter: axis for link in joined for axis in link.machine.axes}
     for axis in (moved for moved in axes.values() if isinstance(moved, RotaryAxis)):
-        yield Covariate(f"{axis.letter.lower()}_deg", {name: conditions[axis.coordinate]}, angle=axis.periodic)
+        yield Covariate(f"{axis.key}_deg", {name: conditions[axis.coordinate]}, angle=axis.periodic)
     if WARMING in conditions:
         yield Covariate("temp_degC", {name: conditions[WARMING]})
     if TRACER in model.blocks:

@@ -7,7 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from metrocli.frozen import dataclass
-from metrocli.instruments.machine import ANGLES, AXES, chain_of
+from metrocli.instruments.axes.chain import chain_of
+from metrocli.instruments.machine import ANGLES, AXES
 from metrocli.settings import Choice, Either, Flag, ListOf, MapOf, Section, Text, Whole, WithUnit, setting
 from metrocli.tasks.shared.lengths import REPEATABILITY, REPEATABILITY_WORDS, LengthNoise
 from metrocli.tasks.shared.noise import model_setting

@@ -16,7 +16,8 @@ import numpy as np
 
 from metrocli.arrays import Array
 from metrocli.diagnosis.corrections import Mistake, other_columns, other_scales, parts
-from metrocli.instruments.machine import ANGLES, AXES, axis_order
+from metrocli.instruments.axes.chain import axis_order
+from metrocli.instruments.machine import ANGLES, AXES
 from metrocli.instruments.six_dof import CHANNELS
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine.files import Files

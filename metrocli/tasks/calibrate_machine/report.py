@@ -39,7 +39,6 @@ from metrocli.tasks.calibrate_machine.tables import (
     tool_names,
     tracker,
     unit_of,
-    unit_of_position,
 )
 from metrocli.tasks.calibrate_machine.volume_report import NOT_CONTAINED, volume_tables
 from metrocli.tasks.calibrate_machine.warnings import (
@@ -170,7 +169,7 @@ def _table(tables: Tables, name: str, identified: Identifiability) -> Table:
     if identified.status[name] == Determination.UNDETERMINED:
         value, std = np.full_like(value, np.nan), np.full_like(std, np.inf)
     unit, axis = unit_of(name), next(axis for axis in tables.machine.axes if axis.letter == name[-1])
-    return Table.of({f"position [{unit_of_position(axis)}]": position, f"value [{unit}]": value, f"std [{unit}]": std})
+    return Table.of({f"position [{axis.unit}]": position, f"value [{unit}]": value, f"std [{unit}]": std})
 
 
 def _errors(tables: Tables, identified: Identifiability) -> Table:
@@ -231,11 +230,9 @@ def _tools(solved: AdjustedMachine, solution: Solution) -> Table:
 
 def _residuals(solved: AdjustedMachine) -> Table:
     observations, residuals = solved.problem.readings.observations, solved.residuals
-    axes = solved.problem.machine.axes
-    places = {
-        f"{axis.letter.lower()} [{unit_of_position(axis)}]": observations.conditions[axis.coordinate] for axis in axes
-    }
-    columns: dict[str, Any] = {**observations.keys, **places}
+    machine = solved.problem.machine
+    places = np.stack([observations.conditions[axis.coordinate] for axis in machine.axes])
+    columns: dict[str, Any] = {**observations.keys, **machine.columns(places)}
     for i, component in enumerate(observations.components):
         unit = "rad" if component in ANGULAR else "mm"
         columns |= {

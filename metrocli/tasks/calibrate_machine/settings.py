@@ -6,7 +6,8 @@ from collections.abc import Iterator, Mapping
 from typing import Any, ClassVar
 
 from metrocli.frozen import dataclass
-from metrocli.instruments.axes.rotary import LOCATIONS, ROTARY_NAMES, SPINDLE_NAMES, WORDS, errors_by_word
+from metrocli.instruments.axes.chain import WORDS, errors_by_word
+from metrocli.instruments.axes.rotary import LOCATIONS, ROTARY_NAMES, SPINDLE_NAMES
 from metrocli.instruments.machine import ALL_NAMES, ANGLES, AXES, SQUARENESS_NAMES, canonical, is_angle
 from metrocli.settings import Choice, Either, Flag, ListOf, Section, Whole, WithUnit, setting, settings_of
 from metrocli.tasks.calibrate_machine.files import Inputs
@@ -246,8 +247,7 @@ class Settings:
         yield from self._faults_of_noise()
         if self.positioning != Positioning() and self.method != SIX_DOF:
             yield "positioning", f"method {self.method} has no figures of ISO 230-2: leave this key out"
-        unused, used = "environment", "environment_angle"
-        unused, used = (unused, used) if self.angular else (used, unused)
+        unused, used = ("environment", "environment_angle") if self.angular else ("environment_angle", "environment")
         if getattr(self.positioning, unused):
             yield f"positioning.{unused}", f"the lines read no such quantity: write `{used}`"
         for key, methods in _OF_METHODS.items():

@@ -51,11 +51,6 @@ def unit_of(name: str) -> str:
     return internal_unit("angle" if is_angle(name) else "length")
 
 
-def unit_of_position(axis: Axis) -> str:
-    """Return the internal unit of the positions of an axis."""
-    return internal_unit("angle" if isinstance(axis, RotaryAxis) else "length")
-
-
 @dataclass(frozen=True)
 class Tables:
     """Values of all tables at their knots, of locations and squareness, with their covariance."""
@@ -130,7 +125,7 @@ def least_squares_squareness(tables: Tables) -> tuple[Array, Array]:
     Y towards +X by s, which reduces C0Y by s.
     """
     change = np.zeros((3, len(tables.entries)))
-    if sum(not isinstance(axis, RotaryAxis) for axis in tables.machine.axes) < len(AXES):
+    if sum(not axis.turns for axis in tables.machine.axes) < len(AXES):
         return tables.values[-3:], tables.covariance[-3:, -3:]
     for row, terms in enumerate(
         ((("EYZ", -1.0), ("EZY", -1.0)), (("EXZ", 1.0), ("EZX", 1.0)), (("EXY", -1.0), ("EYX", -1.0)))
@@ -151,7 +146,7 @@ def tool_names(blocks: Mapping[str, Block]) -> list[str]:
 
 def linear_axes(machine: Machine) -> Table:
     """Return the linear axes with their range and knots."""
-    linear = [(i, axis) for i, axis in enumerate(machine.axes) if not isinstance(axis, RotaryAxis)]
+    linear = [(i, axis) for i, axis in enumerate(machine.axes) if not axis.turns]
     return Table.of(
         {
             "axis": [axis.letter for _, axis in linear],

@@ -89,7 +89,7 @@ def truth_of(settings: Settings, simulation: MachineSimulation, rng: np.random.G
     if simulation.smooth:
         fine = (replace(axis, knots=np.linspace(axis.knots[0], axis.knots[-1], _FINE)) for axis in machine.axes)
         machine = replace(machine, axes=tuple(fine))
-    travels = [float(np.ptp(axis.knots)) for axis in machine.axes if not isinstance(axis, RotaryAxis)]
+    travels = [float(np.ptp(axis.knots)) for axis in machine.axes if not axis.turns]
     lever = max(travels, default=_TRAVEL) / 2
     tables = {
         name: _drawn(axis, name, simulation.smooth, rng) for axis in machine.axes for name in errors_of(axis.letter)
@@ -143,8 +143,8 @@ def true_errors(settings: Settings, truth: TrueMachine) -> Table:
             length, angle = (none, values) if is_angle(name) else (values, none)
             knots = {"error": [name] * len(values), "position [mm]": axis.knots}
             if truth.machine.turns:
-                turns = isinstance(axis, RotaryAxis)
-                knots |= {"position [mm]": none if turns else axis.knots, "angle [rad]": axis.knots if turns else none}
+                linear, turned = (none, axis.knots) if axis.turns else (axis.knots, none)
+                knots |= {"position [mm]": linear, "angle [rad]": turned}
             parts.append(Table.of({**knots, "value [mm]": length, "turn [rad]": angle}))
     return Table.stack(parts)
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
@@ -14,7 +13,7 @@ from metrocli.table import Table
 from metrocli.tasks.calibrate_machine.acceptance.contours import circular, diagonals, draws
 from metrocli.tasks.calibrate_machine.machine_settings import VolumeGrid
 from metrocli.tasks.calibrate_machine.rank.identifiability import Identifiability
-from metrocli.tasks.calibrate_machine.tables import Tables, unit_of_position
+from metrocli.tasks.calibrate_machine.tables import Tables
 from metrocli.tasks.calibrate_machine.volume import ToolErrors, grid_of, predict, tips, without_rigid_motion
 
 NOT_CONTAINED = (
@@ -62,10 +61,9 @@ class _OnGrid:
         n = self.position.shape[1]
         std = np.full((3, n), np.inf) if self.is_open else self.prediction.std
         error = np.full((3, n), np.nan) if self.is_open else self.prediction.error
-        places = zip(machine.axes, self.position, strict=True)
-        grid: dict[str, Any] = {f"{axis.letter.lower()} [{unit_of_position(axis)}]": own for axis, own in places}
-        grid |= {"ex ey ez [mm]": error.T, "s_ex s_ey s_ez [mm]": std.T}
-        return Table.of({"tool": np.repeat(np.array([tool], dtype=str), n), **grid})
+        errors = {"ex ey ez [mm]": error.T, "s_ex s_ey s_ez [mm]": std.T}
+        tools = np.repeat(np.array([tool], dtype=str), n)
+        return Table.of({"tool": tools, **machine.columns(self.position), **errors})
 
 
 def _on_grid(tables: Tables, position: Array, tool: int, is_open: bool) -> _OnGrid:

@@ -9,7 +9,7 @@ import numpy as np
 
 from metrocli import units
 from metrocli.diagnosis.adjusted_job import ABSURD
-from metrocli.instruments.axes.rotary import RotaryAxis
+from metrocli.instruments.axes.rotary import turning_axes
 from metrocli.instruments.machine import TOOL, Machine, errors_of
 from metrocli.instruments.tracer import TRACER
 from metrocli.table import Table
@@ -114,9 +114,7 @@ def misplaced(solved: AdjustedMachine) -> tuple[list[str], list[str]]:
     """Return doubts and warnings of rotary axes whose line is far from where the job lists it."""
     doubts, warnings = [], []
     given = solved.problem.readings.observations.conditions
-    for axis in solved.problem.machine.axes:
-        if not isinstance(axis, RotaryAxis):
-            continue
+    for axis in turning_axes(solved.problem.machine):
         block, turned = solved.solution.blocks[axis.location], float(np.ptp(given[axis.coordinate]))
         if turned < _FEW and block.free.any():
             warnings.append(
@@ -212,7 +210,7 @@ def _of_scales(solved: AdjustedMachine, machine: Machine, scales: Mapping[str, W
         )
     else:
         yield Hidden(ASSUMED, AIR_WORDS, AIR * diagonal, ASSUMED_CONTROL)
-    linear = [axis for axis in machine.axes if not isinstance(axis, RotaryAxis)]
+    linear = [axis for axis in machine.axes if not axis.turns]
     if sum(scale.std > 0 for scale in scales.values()) < len(linear):
         yield Hidden(
             "temperature of the machine (positioning errors)",

@@ -13,6 +13,7 @@ from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Observations
 from metrocli.arrays import Array
 from metrocli.instruments import machine as m
+from metrocli.instruments.axes.chain import axis_order
 from metrocli.instruments.axes.kinematics import motion
 
 ORDERS = ["".join(order) for order in permutations("XYZ")]
@@ -21,7 +22,7 @@ ORDERS = ["".join(order) for order in permutations("XYZ")]
 def engine(machine: sim.Machine, positions: Array, tool: Array) -> Array:
     """What the instrument's link predicts, (n, 6)."""
     axes = [m.Axis(a, machine.positions(a)) for a in "XYZ"]
-    model = m.Machine(m.axis_order(machine.order), (axes[0], axes[1], axes[2]))
+    model = m.Machine(axis_order(machine.order), (axes[0], axes[1], axes[2]))
     blocks = {axis.block: axis.block_of(machine.tables, m.ALL_NAMES) for axis in axes}
     blocks[m.SQUARENESS] = m.squareness_block(
         dict(zip(m.SQUARENESS_NAMES, machine.squareness, strict=True)), m.ALL_NAMES
@@ -146,13 +147,13 @@ def test_four_chains_are_as_they_are_printed(order: str) -> None:
     [("wXbYZt", "XYZ"), ("wbYXZt", "YXZ"), ("[w X b Y Z t]", "XYZ"), ("ZXY", "ZXY"), ("wXYZbt", "XYZ"), ("XYZ", "XYZ")],
 )
 def test_chains_are_read(chain: str, order: str) -> None:
-    assert "".join("XYZ"[i] for i in m.axis_order(chain)) == order
+    assert "".join("XYZ"[i] for i in axis_order(chain)) == order
 
 
 @pytest.mark.parametrize("chain", ["", "wXbYt", "XXZ", "wXbYbZt", "xyz", "tZYbXw", "bwXYZ"])
 def test_what_is_no_chain_is_refused(chain: str) -> None:
     with pytest.raises(ValueError, match="is not a chain"):
-        m.axis_order(chain)
+        axis_order(chain)
 
 
 @pytest.mark.parametrize(

@@ -19,7 +19,7 @@ from metrocli.tasks.calibrate_machine.described import commanded
 from metrocli.tasks.calibrate_machine.problem import tools_of
 from metrocli.tasks.calibrate_machine.settings import Settings
 from metrocli.tasks.calibrate_machine.solve import AdjustedMachine
-from metrocli.tasks.calibrate_machine.tables import Tables, unit_of_position
+from metrocli.tasks.calibrate_machine.tables import Tables
 from metrocli.tasks.calibrate_machine.volume import predict
 
 _SAME = 1e-4
@@ -55,8 +55,6 @@ def paths(tables: Tables, solved: AdjustedMachine, settings: Settings, listed: T
     columns = list(zip(*rows, strict=True))
     # the measured range is the difference of two readings
     expanded_measured = np.where(np.isnan(columns[4]), np.nan, COVERAGE * np.sqrt(2) * sigma)
-    units = {axis.letter.lower(): unit_of_position(axis) for axis in machine.axes}
-    positions = {f"{key} [{unit}]": values for (key, unit), values in zip(units.items(), position, strict=True)}
     return {
         "paths": Table.of(
             {
@@ -67,7 +65,12 @@ def paths(tables: Tables, solved: AdjustedMachine, settings: Settings, listed: T
             }
         ),
         "path_errors": Table.of(
-            {"path": names, **positions, "ex ey ez [mm]": error.T, "measured_x measured_y measured_z [mm]": measured.T}
+            {
+                "path": names,
+                **machine.columns(position),
+                "ex ey ez [mm]": error.T,
+                "measured_x measured_y measured_z [mm]": measured.T,
+            }
         ),
     }
 

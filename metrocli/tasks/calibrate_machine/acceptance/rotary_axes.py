@@ -13,7 +13,7 @@ from metrocli.arrays import Array
 from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.instruments.axes.joints import turned
-from metrocli.instruments.axes.rotary import RotaryAxis
+from metrocli.instruments.axes.rotary import RotaryAxis, turning_axes
 from metrocli.instruments.machine import ANGLES, AXES, Machine, errors_of
 from metrocli.instruments.tracker import TRACKER
 from metrocli.table import Table
@@ -114,8 +114,9 @@ def rotary_motion(tables: Tables, known: Collection[str]) -> dict[str, Table]:
     and what turns once are the place of the axis and the centring of the ball; the tables do not have them.
     Source: ISO 230-7:2015, 3.5 (radial, axial, tilt error motion; fixed and rotating sensitive direction).
     """
-    axes = [axis for axis in tables.machine.axes if isinstance(axis, RotaryAxis)]
-    motions = [motion for axis in axes for motion in _motions(axis) if set(motion.errors) <= set(known)]
+    motions = [
+        motion for axis in turning_axes(tables.machine) for motion in _motions(axis) if set(motion.errors) <= set(known)
+    ]
     if not motions:
         return {}
     rows = [_range(tables, motion) for motion in motions]

@@ -12,7 +12,7 @@ import numpy as np
 
 from metrocli.arrays import Array, Index
 from metrocli.frozen import dataclass
-from metrocli.instruments.axes.rotary import RotaryAxis
+from metrocli.instruments.axes.rotary import RotaryAxis, turning_axes
 from metrocli.instruments.machine import errors_of
 from metrocli.result import ShownTable
 from metrocli.table import Table
@@ -71,10 +71,10 @@ def _rotary_runs(tables: Tables, solved: AdjustedMachine) -> _RotaryRuns:
     uncertainty `1/sqrt(j'j)`, all whitened. E is interpolated in the table of the axis.
     """
     observations = solved.problem.readings.observations
-    axes = [axis for axis in tables.machine.axes if isinstance(axis, RotaryAxis)]
+    axes = turning_axes(tables.machine)
     order, runs, uncertain = np.argsort(observations.order, kind="stable"), list[Run](), list[float]()
     for axis in axes:
-        side = observations.conditions.get(f"from_{axis.letter.lower()}")
+        side = observations.conditions.get(f"from_{axis.key}")
         if side is None:
             continue
         others = [observations.conditions[other.coordinate] for other in axes if other is not axis]

@@ -18,6 +18,7 @@ from metrocli.adjust.model.observations import Observations
 from metrocli.arrays import Array
 from metrocli.errors import Fault, InputError
 from metrocli.frozen import dataclass
+from metrocli.instruments.axes.chain import axis_order
 from metrocli.instruments.axes.rotary import Combinations
 from metrocli.instruments.machine import (
     ALL_NAMES,
@@ -26,7 +27,6 @@ from metrocli.instruments.machine import (
     SQUARENESS_NAMES,
     Axis,
     Machine,
-    axis_order,
     squareness_block,
 )
 from metrocli.result import Result
@@ -170,7 +170,7 @@ def _other_axes(axes: tuple[Axis, ...], settings: Settings, result: Result) -> I
             continue
         low, high, knots = (table.columns[name][letters.index(axis.letter)] for name in ("low", "high", "knots"))
         if len(axis.knots) != knots or max(abs(axis.knots[0] - low), abs(axis.knots[-1] - high)) > _SAME:
-            name = axis.letter.lower()
+            name = axis.key
             yield Fault(
                 f"the result has {knots} knots of {axis.letter} from {low:g} to {high:g} mm, the job {len(axis.knots)} "
                 f"from {axis.knots[0]:g} to {axis.knots[-1]:g} mm",

@@ -9,7 +9,6 @@ import numpy as np
 from metrocli.arrays import Array, Index, Mask, Values
 from metrocli.errors import Fault, InputError
 from metrocli.frozen import dataclass
-from metrocli.instruments.axes.rotary import RotaryAxis
 from metrocli.instruments.machine import ANGLES, Machine
 from metrocli.instruments.six_dof import ABOUT, ACROSS, ALONG, FROM_START, POSITION
 from metrocli.table import Table
@@ -164,7 +163,7 @@ def _positions(machine: Machine, table: Table, axes: Values, distance: Array) ->
             position[moved, rows] = start + distance[rows] * part
     faults = []
     for number, axis in enumerate(machine.axes):
-        name = axis.letter.lower()
+        name = axis.key
         if name not in table:
             continue
         given = table.numbers(name)
@@ -178,9 +177,7 @@ def _positions(machine: Machine, table: Table, axes: Values, distance: Array) ->
         position[number] = np.where(axes == name, position[number], given)
     if faults:
         raise InputError(faults)
-    unit = {axis.letter: "rad" if isinstance(axis, RotaryAxis) else "mm" for axis in machine.axes}
-    read = {f"{axis.letter.lower()} [{unit[axis.letter]}]": position[i] for i, axis in enumerate(machine.axes)}
-    commanded(machine, table.joined(read))
+    commanded(machine, table.joined(machine.columns(position)))
     return position
 
 
@@ -210,7 +207,7 @@ def approach(machine: Machine, lines: MeasuredLines) -> dict[str, Array]:
     along = lines.along
     moved = np.sign(np.where(np.abs(along) > _LEAST_PART, along, 0.0))[lines.of].T * lines.sense
     parts = np.split(np.arange(len(lines.of)), np.flatnonzero(np.diff(lines.of) != 0) + 1)
-    sides = {f"from_{axis.letter.lower()}": own for axis, own in zip(machine.axes, moved, strict=True)}
+    sides = {f"from_{axis.key}": own for axis, own in zip(machine.axes, moved, strict=True)}
     ways = [since_turns(lines.position[:, rows], {name: side[rows] for name, side in sides.items()}) for rows in parts]
     common = set(ways[0]).intersection(*ways)
     return sides | {name: np.concatenate([way[name] for way in ways]) for name in sorted(common)}
@@ -224,7 +221,7 @@ def line_conditions(machine: Machine, lines: MeasuredLines) -> dict[str, Array]:
     along = lines.along
     if machine.turns:
         shares = np.abs(along[lines.of].T)
-        return {ABOUT.format(axis=axis.letter.lower()): own for axis, own in zip(machine.axes, shares, strict=True)}
+        return {ABOUT.format(axis=axis.key): own for axis, own in zip(machine.axes, shares, strict=True)}
     least = np.eye(3)[np.argmin(np.abs(along), axis=1)]
     first = np.cross(along, least)
     first /= np.linalg.norm(first, axis=1, keepdims=True)

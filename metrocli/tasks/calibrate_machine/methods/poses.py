@@ -10,8 +10,7 @@ import numpy as np
 from metrocli.arrays import Array, Index, Mask
 from metrocli.errors import InputError
 from metrocli.geometry import poses
-from metrocli.instruments.axes.rotary import RotaryAxis
-from metrocli.instruments.machine import ANGLES, AXES, Machine
+from metrocli.instruments.machine import Machine
 from metrocli.instruments.machine_path import last_sides
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine.described import commanded, error_blocks, machine_of
@@ -69,7 +68,7 @@ def poses_at(settings: Settings, files: Files, shares: Array, margin: float = 1.
     point = {"point [text]": np.array([f"P{i + 1:03d}" for i in range(n)])}
     # a machine with one tool without a name has no column for it
     tool = {} if names == [""] else {"tool": np.array(names)[_in_golden_order(len(names), n)]}
-    table = Table.of(point | _columns(machine, position) | tool)
+    table = Table.of(point | machine.columns(position) | tool)
     if settings.method != LENGTHS:
         return table
     listed = files.listed_stations
@@ -154,13 +153,13 @@ def _at_balls(settings: Settings, files: Files, position: Array, margin: float) 
     if not fits.any():
         text = f"in none of {len(fits)} poses does a tool reach a listed ball within the travel of X, Y and Z"
         raise InputError([files.balls.fault(text, "check the places of the balls, the tools and `at`")])
-    named = {"ball [text]": np.array(balls)[ball[fits]], **_columns(machine, _rounded(machine, reached[:, fits]))}
+    named = {"ball [text]": np.array(balls)[ball[fits]], **machine.columns(_rounded(machine, reached[:, fits]))}
     return Table.of(named | ({} if tools == [""] else {"tool": np.array(tools)[tool[fits]]}))
 
 
 def _inside(machine: Machine, position: Array, margin: float) -> Mask:
     """Return which positions (axes, n) lie in the travel, of linear axes with a margin [mm]."""
-    margins = np.array([0.0 if isinstance(axis, RotaryAxis) else margin for axis in machine.axes])
+    margins = np.array([0.0 if axis.turns else margin for axis in machine.axes])
     low, high = (machine.low + margins)[:, None], (machine.high - margins)[:, None]
     return np.asarray(((position >= low) & (position <= high)).all(axis=0))
 
@@ -180,17 +179,9 @@ def _in_golden_order(members: int, count: int) -> Index:
     return np.asarray(np.floor(members * np.mod(np.arange(1, count + 1) * _GOLDEN, 1.0)), dtype=np.intp)
 
 
-def _columns(machine: Machine, position: Array) -> dict[str, Array]:
-    """Return the columns of positions (axes, n), by heading: "x [mm]", "a [rad]"."""
-    return {
-        f"{axis.letter.lower()} [{'rad' if axis.letter in ANGLES else 'mm'}]": of_axis
-        for axis, of_axis in zip(machine.axes, position, strict=True)
-    }
-
-
 def _rounded(machine: Machine, position: Array) -> Array:
     """Return positions (axes, n) as a control shows them."""
-    linear = np.array([axis.letter in AXES for axis in machine.axes])[:, None]
+    turns = np.array([axis.turns for axis in machine.axes])[:, None]
     return np.where(
-        linear, np.round(position, _POSE_DECIMALS), np.radians(np.round(np.degrees(position), _POSE_DECIMALS))
+        turns, np.radians(np.round(np.degrees(position), _POSE_DECIMALS)), np.round(position, _POSE_DECIMALS)
     )

@@ -23,7 +23,7 @@ from metrocli.geometry import poses
 from metrocli.geometry.rotations import rotation_from_euler
 from metrocli.instruments.axes.kinematics import ON_WORKPIECE, axes_of
 from metrocli.instruments.frames import DistanceBetween
-from metrocli.instruments.machine import AXES, TOOL
+from metrocli.instruments.machine import TOOL
 from metrocli.instruments.tracer import TRACER
 from metrocli.instruments.tracker import TRACKER, polar
 from metrocli.simulation import Simulation
@@ -100,7 +100,7 @@ def _poses(job: Job[Settings, Files], simulation: MachineSimulation, rng: np.ran
         if settings.method == PROBING:
             table = table.selected(np.arange(len(table)) < simulation.points)
     more = clock(simulation, len(table)) | table.conditions("t")
-    names = [f"from_{axis.letter.lower()}" for axis in machine.axes]
+    names = [f"from_{axis.key}" for axis in machine.axes]
     more |= sides_of(names, commanded(machine, table), more["t"])
     return table.joined({heading(name): values for name, values in more.items() if name not in table})
 
@@ -211,10 +211,5 @@ class _Reading:
             text = "the probe does not reach the balls by X, Y and Z: give poses with the dx, dy, dz of an R-test"
             raise InputError([self.table.fault(text)])
         position = moved_by(machine, position, noise)
-        return self.table.joined(
-            {
-                f"{axis.letter.lower()} [mm]": own
-                for axis, own in zip(machine.axes, position, strict=True)
-                if axis.letter in AXES
-            }
-        )
+        linear = {f"{axis.key} [mm]": own for axis, own in zip(machine.axes, position, strict=True) if not axis.turns}
+        return self.table.joined(linear)

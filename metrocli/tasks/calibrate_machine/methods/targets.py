@@ -22,7 +22,6 @@ from metrocli.instruments.axes.kinematics import (
     nominal_tip,
     seen_from_bed,
 )
-from metrocli.instruments.axes.rotary import RotaryAxis
 from metrocli.instruments.frames import DistanceBetween
 from metrocli.instruments.machine import TOOL, Machine
 from metrocli.table import Table
@@ -167,9 +166,7 @@ def met_again(
     position = np.stack([given[axis.coordinate] for axis in machine.axes])
     ball = blocks[ON_WORKPIECE].values[observations.index[ON_WORKPIECE]].T
     met = brought_to(machine, position, ball, machine.tools[observations.index[TOOL]].T)
-    return {
-        axis.coordinate: own for axis, own in zip(machine.axes, met, strict=True) if not isinstance(axis, RotaryAxis)
-    }
+    return {axis.coordinate: own for axis, own in zip(machine.axes, met, strict=True) if not axis.turns}
 
 
 def brought_to(machine: Machine, position: Array, ball: Array, tip: Array) -> Array:
@@ -180,7 +177,7 @@ def brought_to(machine: Machine, position: Array, ball: Array, tip: Array) -> Ar
 
 def moved_by(machine: Machine, position: Array, way: Array) -> Array:
     """Return positions (axes, n) whose linear axes are moved by ways (3, n) along x, y and z."""
-    linear = [i for i, axis in enumerate(machine.axes) if not isinstance(axis, RotaryAxis)]
+    linear = [i for i, axis in enumerate(machine.axes) if not axis.turns]
     moved = np.array(position)
     moved[linear] += way[[machine.axes[i].number for i in linear]]
     return moved

@@ -28,7 +28,7 @@ def angle_faults(machine: Machine, table: Table, axes: Values, read: tuple[Index
     """
     of, angle = read
     for axis in machine.axes:
-        letter = axis.letter.lower()
+        letter = axis.key
         for i in np.unique(of[axes == letter]).tolist():
             rows = np.flatnonzero(of == i)
             fault = _other_unit(axis, table, rows, angle[rows]) or _not_counted_on(axis, table, rows, angle[rows])
@@ -38,7 +38,7 @@ def angle_faults(machine: Machine, table: Table, axes: Values, read: tuple[Index
 
 def _other_unit(axis: Axis, table: Table, rows: Index, angle: Array) -> Fault | None:
     """Return a fault if angles called degrees are in radians or gon, and would then suit the axis."""
-    letter, low, high = axis.letter.lower(), float(axis.knots[0]), float(axis.knots[-1])
+    letter, low, high = axis.key, float(axis.knots[0]), float(axis.knots[-1])
     heading = table.headings.get(letter, f"{letter}_deg")
     span, range_of, reach = (
         float(np.ptp(angle)),
@@ -77,7 +77,7 @@ def _not_counted_on(axis: Axis, table: Table, rows: Index, angle: Array) -> Faul
     jumps = np.flatnonzero(np.abs(on - angle) > _CLOSE)
     if not jumps.size or np.ptp(on) > _TURN + _CLOSE:
         return None
-    at, letter = int(jumps[0]), axis.letter.lower()
+    at, letter = int(jumps[0]), axis.key
     text = f"{letter} goes from {placed(axis, angle[at - 1])} to {placed(axis, angle[at])}"
     return table.fault_at(
         int(rows[at]),

@@ -47,7 +47,7 @@ def with_room(settings: Settings, table: Table, files: Files) -> Table:
         return table
     machine, place = machine_of(settings), _before(settings, table, files)
     low, high = machine.low[:, None], machine.high[:, None]
-    linear = np.array([not isinstance(axis, RotaryAxis) for axis in machine.axes])[:, None]
+    linear = np.array([not axis.turns for axis in machine.axes])[:, None]
     inside: Mask = np.asarray((~linear | ((place >= low) & (place <= high))).all(axis=0))
     if not inside.any():
         text = f"in none of {len(table)} poses can the probe stand {_CLEAR:g} mm off its ball within the travel"
@@ -127,7 +127,7 @@ def _retract(machine: Machine) -> Iterator[Block]:
 def _approach(machine: Machine, position: Array, feed: float) -> Iterator[Block]:
     """Yield moves to a position: the rotary axes first, then the linear ones, the one that was away at last."""
     at = {axis.letter: own for axis, own in zip(machine.axes, position.tolist(), strict=True)}
-    turning = [axis.letter for axis in machine.axes if isinstance(axis, RotaryAxis)]
+    turning = [axis.letter for axis in machine.axes if axis.turns]
     yield Rapid({letter: float(np.degrees(at[letter])) for letter in turning}, any_turn(machine.axes))
     beside = {letter: own for letter, own in at.items() if letter not in (*turning, _AWAY)}
     if beside:

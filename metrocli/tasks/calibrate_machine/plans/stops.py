@@ -159,7 +159,7 @@ def plan_of_lines(settings: Settings, lines: Table | None) -> Plan:
 
 def _to_and_fro(axis: Axis, lines: MeasuredLines, line: int, feed: float) -> Iterator[NcBlock]:
     """Yield moves to the targets of an axis with a rest at each; at a turn the axis goes beyond the target."""
-    own, turns = lines.distance[lines.of == line], isinstance(axis, RotaryAxis)
+    own, turns = lines.distance[lines.of == line], axis.turns
     way = np.sign(np.diff(own, prepend=own[0], append=own[-1]))
     after = np.where(way[1:] == 0, way[:-1], way[1:])
     for target, fore, aft in zip(own.tolist(), way[:-1].tolist(), after.tolist(), strict=True):
@@ -221,19 +221,18 @@ def tests_of_positioning(machine: Machine, letters: Sequence[str]) -> MeasuredLi
 
 def beyond(axis: Axis) -> float:
     """Return how far an axis goes beyond the last target before it comes back [mm, rad]."""
-    return min(float(_BEYOND[isinstance(axis, RotaryAxis)]), _MOST_BEYOND * float(np.ptp(axis.knots)) / _count(axis))
+    return min(float(_BEYOND[axis.turns]), _MOST_BEYOND * float(np.ptp(axis.knots)) / _count(axis))
 
 
 def _count(axis: Axis) -> int:
     """Return the number of steps between the targets of an axis."""
-    turns = isinstance(axis, RotaryAxis)
-    size = float(np.degrees(np.ptp(axis.knots)) if turns else np.ptp(axis.knots))
+    size = float(np.degrees(np.ptp(axis.knots)) if axis.turns else np.ptp(axis.knots))
     return max(fewest_targets(axis.letter, size), len(axis.knots)) - 1
 
 
 def _targets(axis: Axis) -> Array:
     """Return targets of an axis at unequal steps, from end to end; short of the ends where it cannot go beyond them."""
-    turns, count = isinstance(axis, RotaryAxis), _count(axis)
+    turns, count = axis.turns, _count(axis)
     off = np.mod(np.arange(1, count + 2) * _GOLDEN, 1.0) * 2 - 1
     off[[0, -1]] = 0.0
     low, high = axis.knots[0], axis.knots[-1]
@@ -250,5 +249,5 @@ def columns_of(machine: Machine, lines: MeasuredLines) -> dict[str, Values]:
     """Return the columns line, axis and place of lines, under headings; those of rotary axes are their angles."""
     named: dict[str, Values] = {"line": np.array(lines.names)[lines.of], "axis": np.array(lines.axis)[lines.of]}
     if machine.turns:
-        return named | {f"{axis.letter.lower()} [rad]": lines.position[i] for i, axis in enumerate(machine.axes)}
+        return named | machine.columns(lines.position)
     return named | {"position [mm]": lines.distance}

@@ -22,7 +22,7 @@ from metrocli.arrays import Array, Index
 from metrocli.errors import UndeterminedError
 from metrocli.frozen import dataclass
 from metrocli.instruments.axes.error_motion import POSITIONS
-from metrocli.instruments.axes.rotary import Combinations, RotaryAxis
+from metrocli.instruments.axes.rotary import Combinations
 from metrocli.instruments.machine import ANGLES, TOOL, Machine, errors_of
 from metrocli.instruments.tracer import AIR, STOP
 from metrocli.tasks.calibrate_machine.described import error_names
@@ -144,7 +144,7 @@ def at_knots(problem: MachineProblem) -> tuple[Group, ...]:
     the error of the interpolation is magnified as much.
     """
     machine, blocks = problem.machine, problem.blocks
-    turning = [axis for axis in machine.axes if isinstance(axis, RotaryAxis) and blocks[axis.block].free.any()]
+    turning = [axis for axis in machine.axes if axis.turns and blocks[axis.block].free.any()]
     readings = problem.readings
     others = tuple(group for group in problem.groups if group.name != readings.name)
     if not turning:
