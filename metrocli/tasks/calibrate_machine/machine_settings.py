@@ -9,6 +9,8 @@ import numpy as np
 from metrocli.frozen import dataclass
 from metrocli.instruments.axes.chain import chain_of
 from metrocli.instruments.machine import ANGLES, AXES
+from metrocli.instruments.six_dof import LineNoise
+from metrocli.instruments.tracker import TrackerNoise
 from metrocli.settings import Choice, Either, Flag, ListOf, MapOf, Section, Text, Whole, WithUnit, setting
 from metrocli.tasks.shared.lengths import REPEATABILITY, REPEATABILITY_WORDS, LengthNoise
 from metrocli.tasks.shared.noise import model_setting
@@ -205,6 +207,16 @@ class MachineNoise:
     def of_lengths(self) -> LengthNoise:
         """The noise of lengths."""
         return LengthNoise(self.constant or 0.0, self.proportional, self.repeatability)
+
+    @property
+    def of_tracker(self) -> TrackerNoise:
+        """The noise of a tracker."""
+        return TrackerNoise(self.beam or 0.0, self.square.constant, self.square.proportional)
+
+    @property
+    def of_laser(self) -> LineNoise:
+        """The noise of a laser with six degrees of freedom."""
+        return LineNoise(self.displacement or 0.0, self.straightness or 0.0, self.angle or 0.0)
 
     @property
     def square(self) -> LateralNoise:

@@ -11,7 +11,7 @@ import numpy as np
 from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.chain import Chain
 from metrocli.adjust.model.groups import Group
-from metrocli.arrays import Array, Index, Mask
+from metrocli.arrays import Array, Index, Mask, Values
 from metrocli.effects.acting import NOMINAL
 from metrocli.effects.correlated import with_all
 from metrocli.effects.model import Model, Place
@@ -185,6 +185,18 @@ def tools_of(table: Table, settings: Settings) -> Index:
         raise InputError(faults)
     order = np.argsort(names)
     return np.asarray(order[np.searchsorted(np.array(names)[order], column)], dtype=np.intp)
+
+
+def tool_column(settings: Settings, tool: Index) -> dict[str, Values]:
+    """Return the column with the names of tools (n,); none where the job has one tool without a name."""
+    names = list(settings.tools)
+    return {} if names == [""] else {"tool": np.array(names)[tool]}
+
+
+def tools_used(settings: Settings, tool: Index) -> tuple[str, ...]:
+    """Return the names of the tools that readings have, from the number of that of each (n,)."""
+    names = list(settings.tools)
+    return tuple(names[i] for i in np.unique(tool))
 
 
 def conditions(

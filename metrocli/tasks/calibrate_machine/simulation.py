@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from metrocli.arrays import Array, Index, Values
+from metrocli.arrays import Array, Index
 from metrocli.effects.estimates import true_values
 from metrocli.effects.extension import extended
 from metrocli.effects.model import Model
@@ -31,10 +31,8 @@ from metrocli.tasks.calibrate_machine.methods.lines import MeasuredLines, approa
 from metrocli.tasks.calibrate_machine.methods.on_the_fly import path_of
 from metrocli.tasks.calibrate_machine.methods.poses import STATIONS, around, clock, in_degrees, sides_of
 from metrocli.tasks.calibrate_machine.methods.simulated_poses import simulated_turning
-from metrocli.tasks.calibrate_machine.methods.six_dof import laser_noise
-from metrocli.tasks.calibrate_machine.methods.standstill import tracker_noise
 from metrocli.tasks.calibrate_machine.plans.stops import columns_of, planned_lines, tests_of_positioning
-from metrocli.tasks.calibrate_machine.problem import SIDES, since_turns, tools_of
+from metrocli.tasks.calibrate_machine.problem import SIDES, since_turns, tool_column, tools_of
 from metrocli.tasks.calibrate_machine.settings import (
     LENGTHS,
     ON_THE_FLY,
@@ -97,7 +95,7 @@ def _seen(job: _Measurement, truth: TrueMachine, flow: Flow, rng: np.random.Gene
     turn = rotation_from_euler(rng.normal() * 0.05, rng.normal() * 0.05, rng.uniform(-np.pi, np.pi))
     pose = poses.pose(turn, np.array(job.simulation.tracker))
     points, model = job.read(truth.model(point_chain(reach(truth.machine)), {TRACKER: tracker_block(pose)}, flow))
-    return points + tracker_noise(job.settings).drawn(points, rng), model
+    return points + job.settings.noise.of_tracker.drawn(points, rng), model
 
 
 def _points(job: _Measurement, truth: TrueMachine, rng: np.random.Generator) -> tuple[Table, Model]:
@@ -106,13 +104,7 @@ def _points(job: _Measurement, truth: TrueMachine, rng: np.random.Generator) -> 
     seen, model = _seen(job, truth, flow, rng)
     names = [f"P{i + 1:03d}" for i in range(seen.shape[1])]
     table = Table.of({"point": names, "x y z [mm]": flow.position.T, "mx my mz [mm]": seen.T, **_written(flow)})
-    return table.joined(_tools(job, flow.tool)), model
-
-
-def _tools(job: _Measurement, tool: Index) -> dict[str, Values]:
-    """Return the column of the tools; none where the job has one."""
-    names = list(job.settings.tools)
-    return {} if names == [""] else {"tool": np.array(names)[tool]}
+    return table.joined(tool_column(job.settings, flow.tool)), model
 
 
 def _written(flow: Flow) -> dict[str, Array]:
@@ -177,7 +169,9 @@ def _lengths(job: _Measurement, truth: TrueMachine, rng: np.random.Generator) ->
     first = np.array([int(np.argmax(station == i)) for i in range(len(names))])
     length = path + deviation + rng.normal(size=len(path)) * sigma - path[first][station]
     read_as = length if air is None else length / air.towards
-    return table.joined({"x y z [mm]": flow.position.T, "length [mm]": read_as, **_tools(job, flow.tool)}), model
+    return table.joined(
+        {"x y z [mm]": flow.position.T, "length [mm]": read_as, **tool_column(job.settings, flow.tool)}
+    ), model
 
 
 def _readings_of_stations(
@@ -212,7 +206,7 @@ def _track(job: _Measurement, truth: TrueMachine, rng: np.random.Generator) -> t
     given |= path.since_turns(leg, along) | path.axis_speeds(leg, path.speeds(leg, along, time))
     seen, model = _seen(job, truth, Flow(path.at(leg, along), path.tool[leg], given), rng)
     table = Table.of({"x y z [mm]": seen.T, "t [s]": time})
-    return table.joined(_tools(job, path.tool[leg]) if "tool" in listed else {}), model
+    return table.joined(tool_column(job.settings, path.tool[leg]) if "tool" in listed else {}), model
 
 
 def _feeds(job: _Measurement, table: Table, path: Path) -> Array:
@@ -239,7 +233,7 @@ def _lines(job: _Measurement, truth: TrueMachine, rng: np.random.Generator) -> t
     more = line_conditions(machine, lines) | approach(machine, lines)
     flow = Flow(lines.position, np.zeros(len(lines.of), dtype=np.intp), given | more, {LINE: lines.of})
     readings, model = job.read(truth.model(line_chain(truth.machine, alone), {LINE: block}, flow))
-    noise, when = laser_noise(job.settings), {heading(name): column for name, column in given.items()}
+    noise, when = job.settings.noise.of_laser, {heading(name): column for name, column in given.items()}
     named = columns_of(machine, lines)
     if alone:
         read = readings[0] + rng.normal(size=len(lines.of)) * (noise.angle if machine.turns else noise.displacement)

@@ -13,8 +13,8 @@ from metrocli.instruments.six_dof import CHANNELS
 from metrocli.instruments.tracker import POLAR
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine.files import Files
-from metrocli.tasks.calibrate_machine.methods.six_dof import laser_noise, unmeasured
-from metrocli.tasks.calibrate_machine.methods.standstill import CARTESIAN, tracker_noise
+from metrocli.tasks.calibrate_machine.methods.six_dof import unmeasured
+from metrocli.tasks.calibrate_machine.methods.standstill import CARTESIAN
 from metrocli.tasks.calibrate_machine.settings import Settings
 from metrocli.tasks.shared.lists import sticking
 
@@ -44,7 +44,7 @@ def stuck_channels(settings: Settings, files: Files) -> tuple[str, ...]:
 def _noise(settings: Settings, table: Table, is_track: bool) -> Iterator[tuple[str, Array]]:
     """Yield each column of readings that can stick with its standard deviations (n,)."""
     ones = np.ones(len(table))
-    laser = laser_noise(settings)
+    laser = settings.noise.of_laser
     for name, sigma in zip(CHANNELS, (laser.displacement, *[laser.straightness] * 2, *[laser.angle] * 3), strict=True):
         yield name, sigma * ones
     if "length" in table:
@@ -54,7 +54,7 @@ def _noise(settings: Settings, table: Table, is_track: bool) -> Iterator[tuple[s
         # without displacements the places are those at which the ball was found
         found = ("dx", "dy", "dz") if "dx" in table else ("x", "y", "z")
         yield from ((name, (settings.noise.probing or 0.0) * ones) for name in found)
-    tracker, cartesian = tracker_noise(settings), ("x", "y", "z") if is_track else CARTESIAN
+    tracker, cartesian = settings.noise.of_tracker, ("x", "y", "z") if is_track else CARTESIAN
     if all(name in table for name in cartesian):
         covariance = tracker.covariance(table.stacked(cartesian).T)
         yield from zip(cartesian, np.sqrt(np.einsum("iin->in", covariance)), strict=True)

@@ -32,9 +32,8 @@ from metrocli.instruments.machine_path import Path
 from metrocli.instruments.tracker import LEG, TRACKER, TrackerNoise, leg_block, path_chain, tracker_block
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine.described import commanded, error_blocks, machine_of, must_support, tool_prior
-from metrocli.tasks.calibrate_machine.methods.standstill import tracker_noise
 from metrocli.tasks.calibrate_machine.methods.track import Track, cut
-from metrocli.tasks.calibrate_machine.problem import MachineProblem, conditions, model_of, tools_of
+from metrocli.tasks.calibrate_machine.problem import MachineProblem, conditions, model_of, tools_of, tools_used
 from metrocli.tasks.calibrate_machine.settings import Settings
 from metrocli.tasks.calibrate_machine.solve import AdjustedMachine, solve, solved_again
 from metrocli.tasks.calibrate_machine.volume import grid_group
@@ -78,7 +77,7 @@ def measurement(
     tool = tools_of(track, settings) if "tool" in track else None
     measured = cut(track, legs, error_blocks(machine, settings)[TOOL].values, tool, settings.corner)
     cells = legs.cells(machine, _longest_cell(effects))
-    return TrackMeasurement(machine, legs, measured, tracker_noise(settings), cells, settings, tuple(effects))
+    return TrackMeasurement(machine, legs, measured, settings.noise.of_tracker, cells, settings, tuple(effects))
 
 
 def on_the_fly(whole: TrackMeasurement) -> AdjustedMachine:
@@ -137,14 +136,13 @@ def problem_at(whole: TrackMeasurement, state: Mapping[str, Block]) -> MachinePr
     position = np.clip(path.at(leg, few.x - path.before[leg]), whole.machine.low[:, None], whole.machine.high[:, None])
     must_support(whole.machine, position, blocks)
     observations = _observations(whole, few, leg, position, blocks)
-    names = list(whole.settings.tools)
     facts = {"condensed_points": len(few.x), "noise_in_cells": _noise_in_cells(few, observations)}
     readings = Group(READINGS, path_chain(reach(whole.machine)), observations)
     problem = MachineProblem(
         model_of(blocks, readings, tool_prior(blocks, whole.settings)),
         whole.machine,
         few.weight,
-        tuple(names[i] for i in np.unique(path.tool[leg])),
+        tools_used(whole.settings, path.tool[leg]),
         track.warnings,
         {**track.facts, **facts},
     )

@@ -20,7 +20,7 @@ from metrocli.tasks.calibrate_machine.methods.lengths import lengths
 from metrocli.tasks.calibrate_machine.methods.probing import probing
 from metrocli.tasks.calibrate_machine.methods.standstill import CARTESIAN, standstill
 from metrocli.tasks.calibrate_machine.methods.targets import brought_to, targets
-from metrocli.tasks.calibrate_machine.problem import MachineProblem
+from metrocli.tasks.calibrate_machine.problem import MachineProblem, tool_column
 from metrocli.tasks.calibrate_machine.settings import LENGTHS, PROBING, STANDSTILL, MachineSimulation, Settings
 from metrocli.tasks.shared.environment import air_of
 from metrocli.tasks.shared.lists import listed_places, matched
@@ -154,7 +154,7 @@ def _at_balls(settings: Settings, files: Files, position: Array, margin: float) 
         text = f"in none of {len(fits)} poses does a tool reach a listed ball within the travel of X, Y and Z"
         raise InputError([files.balls.fault(text, "check the places of the balls, the tools and `at`")])
     named = {"ball [text]": np.array(balls)[ball[fits]], **machine.columns(_rounded(machine, reached[:, fits]))}
-    return Table.of(named | ({} if tools == [""] else {"tool": np.array(tools)[tool[fits]]}))
+    return Table.of(named | tool_column(settings, tool[fits]))
 
 
 def _inside(machine: Machine, position: Array, margin: float) -> Mask:

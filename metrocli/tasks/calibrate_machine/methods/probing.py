@@ -24,7 +24,7 @@ from metrocli.table import Table
 from metrocli.tasks.calibrate_machine.described import commanded, error_blocks, machine_of, must_support, raise_if
 from metrocli.tasks.calibrate_machine.files import Files
 from metrocli.tasks.calibrate_machine.methods.targets import MeasuredTargets, balls_of, with_distances
-from metrocli.tasks.calibrate_machine.problem import MachineProblem, conditions, model_of
+from metrocli.tasks.calibrate_machine.problem import MachineProblem, conditions, model_of, tools_used
 from metrocli.tasks.calibrate_machine.settings import Settings
 
 READINGS = "probing"
@@ -58,12 +58,11 @@ def probing(settings: Settings, table: Table, files: Files) -> MachineProblem:
     )
     readings = Group(READINGS, Chain((Undisturbed(machine), FromBed(machine, True))), observations)
     unknowns = {**blocks, **targets.blocks}
-    names = list(settings.tools)
     return MachineProblem(
         model_of(unknowns, readings, (*targets.others, *gauge(machine, unknowns))),
         machine,
         np.ones(n),
-        tuple(names[i] for i in np.unique(targets.tool)),
+        tools_used(settings, targets.tool),
         targets.read_once,
     )
 

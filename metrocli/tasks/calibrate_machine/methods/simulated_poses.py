@@ -40,7 +40,7 @@ from metrocli.tasks.calibrate_machine.methods.poses import (
     without_errors,
 )
 from metrocli.tasks.calibrate_machine.methods.probing import DISPLACEMENTS
-from metrocli.tasks.calibrate_machine.methods.standstill import CARTESIAN, tracker_noise
+from metrocli.tasks.calibrate_machine.methods.standstill import CARTESIAN
 from metrocli.tasks.calibrate_machine.methods.targets import moved_by
 from metrocli.tasks.calibrate_machine.problem import PLACES_OF_AXES, MachineProblem
 from metrocli.tasks.calibrate_machine.settings import LENGTHS, PROBING, STANDSTILL, MachineSimulation, Settings
@@ -168,7 +168,7 @@ class _Reading:
     def points(self, rng: np.random.Generator) -> Table:
         """Return the poses with the points of the tracker, or with its polar readings."""
         seen = self.at(self.problem.readings.observations)
-        seen = seen + tracker_noise(self.job.settings).drawn(seen, rng)
+        seen = seen + self.job.settings.noise.of_tracker.drawn(seen, rng)
         simulation = self.job.settings.simulation
         listed = self.job.files.points
         if simulation is None or (not simulation.polar and (listed is None or "distance" not in listed)):

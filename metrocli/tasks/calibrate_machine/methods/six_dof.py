@@ -16,7 +16,7 @@ from metrocli.arrays import Array, Mask
 from metrocli.errors import Fault, InputError
 from metrocli.instruments.axes.rotary import gauge
 from metrocli.instruments.machine import ANGLES, AXES, TOOL, Machine
-from metrocli.instruments.six_dof import CHANNELS, COLUMNS, DISPLACEMENT, LINE, TURN, LineNoise, line_block, line_chain
+from metrocli.instruments.six_dof import CHANNELS, COLUMNS, DISPLACEMENT, LINE, TURN, line_block, line_chain
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine.described import (
     error_blocks,
@@ -45,7 +45,7 @@ def six_dof(settings: Settings, table: Table) -> MachineProblem:
     lines = lines_of(machine, table)
     alone = positioning_alone(settings, lines, table)
     must_support(machine, lines.position, blocks)
-    laser = laser_noise(settings)
+    laser = settings.noise.of_laser
     read = table.stacked(CHANNELS).T if alone is None else alone[None]
     observations = Observations(
         read,
@@ -167,9 +167,3 @@ def _measured_positions(lines: MeasuredLines, deviation: Array, table: Table) ->
         if np.abs(read - at).max() < _MEASURED * np.abs(at).max():
             text = f"the readings of line '{name}' grow as its positions do: they are measured positions"
             yield table.fault_at(int(rows[0]), text, "write the deviations: measured minus commanded")
-
-
-def laser_noise(settings: Settings) -> LineNoise:
-    """Return the noise of the laser."""
-    noise = settings.noise
-    return LineNoise(noise.displacement or 0.0, noise.straightness or 0.0, noise.angle or 0.0)

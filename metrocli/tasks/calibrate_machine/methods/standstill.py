@@ -19,7 +19,7 @@ from metrocli.instruments.axes.error_motion import FAR_OFF, positions_block
 from metrocli.instruments.axes.kinematics import reach
 from metrocli.instruments.axes.rotary import gauge
 from metrocli.instruments.machine import Machine
-from metrocli.instruments.tracker import FACE, POLAR, TRACKER, TrackerNoise, cartesian, point_chain, tracker_block
+from metrocli.instruments.tracker import FACE, POLAR, TRACKER, cartesian, point_chain, tracker_block
 from metrocli.result import Result
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine.described import commanded, error_blocks, machine_of, must_support
@@ -36,12 +36,6 @@ READINGS = "points"
 CARTESIAN = ("mx", "my", "mz")
 _VAGUE = 10.0
 """Uncertainty of a tool vector of which nothing is known [mm], in the place of the tracker"""
-
-
-def tracker_noise(settings: Settings) -> TrackerNoise:
-    """Return the noise of the tracker."""
-    noise = settings.noise
-    return TrackerNoise(noise.beam or 0.0, noise.square.constant, noise.square.proportional)
 
 
 def faces(points: Table) -> dict[str, Array]:
@@ -116,7 +110,7 @@ def _measured(settings: Settings, points: Table, network: Result | None) -> tupl
         missing = next(name for name in CARTESIAN if name not in points)
         hint = "measured places are mx_mm, my_mm, mz_mm, or distance_mm, azimuth_deg, elevation_deg"
         raise InputError([points.fault(f"the column '{missing}_mm' is missing", hint)])
-    return measured, tracker_noise(settings).covariance(measured), NONE
+    return measured, settings.noise.of_tracker.covariance(measured), NONE
 
 
 _RUN = "run"

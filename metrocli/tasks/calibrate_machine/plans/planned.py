@@ -26,10 +26,9 @@ from metrocli.table import Table
 from metrocli.tasks.calibrate_machine import KIND
 from metrocli.tasks.calibrate_machine.described import error_blocks, machine_of, tool_prior
 from metrocli.tasks.calibrate_machine.methods.on_the_fly import READINGS, path_of
-from metrocli.tasks.calibrate_machine.methods.standstill import tracker_noise
 from metrocli.tasks.calibrate_machine.plans.path_search import ChosenPath, PathRequirements, edges_and_diagonals, search
 from metrocli.tasks.calibrate_machine.plans.settings import PathPlan
-from metrocli.tasks.calibrate_machine.problem import MachineProblem, conditions, model_of
+from metrocli.tasks.calibrate_machine.problem import MachineProblem, conditions, model_of, tool_column, tools_used
 from metrocli.tasks.calibrate_machine.rank.identifiability import Identifiability, identify
 from metrocli.tasks.calibrate_machine.settings import Settings
 from metrocli.tasks.calibrate_machine.tables import Determination, Tables, tables_of, unit_of
@@ -60,7 +59,7 @@ def planned_problem(settings: Settings, path: Path) -> MachineProblem:
     seen = poses.apply(poses.inverse(pose), (position + blocks[TOOL].values[path.tool[leg]].T).T).T
     across = blocks[LEG].values[leg].reshape(-1, 2, 3)
     points = length / (plan.feed * plan.sampling)
-    covariance = np.einsum("nab,bcn,ndc->adn", across, tracker_noise(settings).covariance(seen), across) / points
+    covariance = np.einsum("nab,bcn,ndc->adn", across, settings.noise.of_tracker.covariance(seen), across) / points
     observations = Observations(
         np.zeros((2, len(leg))),
         np.ones(1),
@@ -70,10 +69,9 @@ def planned_problem(settings: Settings, path: Path) -> MachineProblem:
         components=("a", "b"),
         unit="mm",
     )
-    names = list(settings.tools)
-    used = tuple(names[i] for i in np.unique(path.tool))
     group = Group(READINGS, path_chain(reach(machine)), observations)
-    return MachineProblem(model_of(blocks, group, tool_prior(blocks, settings)), machine, length, used)
+    model = model_of(blocks, group, tool_prior(blocks, settings))
+    return MachineProblem(model, machine, length, tools_used(settings, path.tool))
 
 
 def tracker_in_words(machine: Machine, plan: PathPlan) -> str:
@@ -215,9 +213,8 @@ def predicted_errors(tables: Tables, identified: Identifiability) -> Table:
 
 def _path_table(settings: Settings, path: ChosenPath) -> Table:
     table = Table.of({"x y z [mm]": path.vertices})
-    if list(settings.tools) != [""]:
-        table = table.joined({"tool": np.array(list(settings.tools))[path.tool]})
-    return table.joined({"feed [mm/s]": np.full(len(path.tool), settings.plan.feed)})
+    feed = {"feed [mm/s]": np.full(len(path.tool), settings.plan.feed)}
+    return table.joined({**tool_column(settings, path.tool), **feed})
 
 
 def _program(settings: Settings, path: ChosenPath) -> str:

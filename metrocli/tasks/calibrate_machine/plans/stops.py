@@ -33,7 +33,7 @@ from metrocli.tasks.calibrate_machine.plans.planned import (
     worth_of,
 )
 from metrocli.tasks.calibrate_machine.plans.pose_program import any_turn
-from metrocli.tasks.calibrate_machine.problem import MachineProblem, tools_of
+from metrocli.tasks.calibrate_machine.problem import MachineProblem, tool_column, tools_of
 from metrocli.tasks.calibrate_machine.settings import MachineSimulation, Settings
 from metrocli.tasks.calibrate_machine.volume import grid_of, spread_over
 from metrocli.tasks.calibrate_machine.warnings import identifiability_notes
@@ -95,7 +95,7 @@ def all_over(settings: Settings, count: int) -> Table:
     pieces = np.split(inside, len(names), axis=1)
     position = np.round(np.concatenate([part for piece in pieces for part in (corners, piece)], axis=1), 2)
     table = Table.of({"point": [f"P{i + 1:03d}" for i in range(position.shape[1])], "x y z [mm]": position.T})
-    return table if names == [""] else table.joined({"tool": np.repeat(np.array(names), 8 + count)})
+    return table.joined(tool_column(settings, np.repeat(np.arange(len(names)), 8 + count)))
 
 
 def _seen(settings: Settings, table: Table) -> Callable[[], MachineProblem]:
