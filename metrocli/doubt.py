@@ -116,7 +116,7 @@ def _depleted(tables: Mapping[str, Table], thinned: bool) -> Iterator[str]:
 
 def _by_quantity(table: Table, source: str) -> Counter[tuple[str, str]]:
     """Return how many readings a table has by source and quantity, and of all quantities by source and ""."""
-    names, parts = table.texts(source), table.texts("component") if "component" in table else [""] * len(table)
+    names, parts = table.texts(source), table.texts("component", "")
     # a reading of several components has a row for each
     counts = Counter((name, "") for name, part in zip(names, parts, strict=True) if part == parts[0])
     if "quantity" in table:

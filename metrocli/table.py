@@ -129,6 +129,22 @@ class Table:
         """Return the table with other or further columns by name, with values in internal units."""
         return replace(self, columns={**self.columns, **columns})
 
+    def without(self, *names: str) -> Table:
+        """Return the table without some columns."""
+        return replace(self, columns={name: column for name, column in self.columns.items() if name not in names})
+
+    def extended(self, rows: Mapping[str, Values]) -> Table:
+        """Return the table with further rows, by columns; cells of other columns are empty, and all lines left out."""
+        import numpy as np
+
+        count = len(next(iter(rows.values())))
+        empty = {True: np.full(count, ""), False: np.full(count, np.nan)}
+        columns = {
+            name: np.concatenate([column, rows.get(name, empty[column.dtype.kind == "U"])])
+            for name, column in self.columns.items()
+        }
+        return replace(self, columns=columns, lines=())
+
     def selected(self, rows: Index | Mask) -> Table:
         """Return some rows of the table, with their lines; remarks of its reader are left out."""
         import numpy as np
@@ -161,8 +177,13 @@ class Table:
         """Return those of the named columns that it has, and its further columns, each (rows,)."""
         return {name: self.numbers(name) for name in (*names, *self.further) if name in self}
 
-    def texts(self, name: str) -> list[str]:
-        """Return a text column as a list, the same one each time."""
+    def texts(self, name: str, default: str | None = None) -> list[str]:
+        """Return a text column as a list, the same one each time; if it is absent, a list of `default`.
+
+        Raises KeyError if the column is absent and there is no default.
+        """
+        if name not in self.columns and default is not None:
+            return [default] * len(self)
         if name not in self._lists:
             self._lists[name] = self.columns[name].astype(str).tolist()
         return self._lists[name]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import Any
 from xml.etree import ElementTree as ET
 
@@ -52,8 +51,7 @@ def symbols_of(known: Sequence[Estimate], tables: Mapping[str, Table]) -> list[s
 
 def _whole(table: Table) -> Table:
     pairs = _pairs(table)
-    rows = np.isfinite(table.stacked([*pairs, *pairs.values()])).all(axis=1)
-    return replace(table, columns={name: column[rows] for name, column in table.columns.items()}, lines=())
+    return table.selected(np.isfinite(table.stacked([*pairs, *pairs.values()])).all(axis=1))
 
 
 def _pairs(table: Table) -> dict[str, str]:

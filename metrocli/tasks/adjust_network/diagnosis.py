@@ -8,11 +8,10 @@ from dataclasses import replace
 import numpy as np
 
 from metrocli.adjust.clusters.robust import Clusters
-from metrocli.adjust.model.chain import Chain
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Observations
 from metrocli.adjust.solution import Solution
-from metrocli.arrays import Array, Index, Mask
+from metrocli.arrays import Index, Mask
 from metrocli.diagnosis.adjusted_job import AdjustedJob, Delivered
 from metrocli.effects.covariates import Covariate
 from metrocli.effects.estimates import free_blocks
@@ -20,10 +19,11 @@ from metrocli.effects.extension import with_conditions
 from metrocli.effects.model import Model
 from metrocli.instruments import stations as s
 from metrocli.instruments import tracer as t
-from metrocli.instruments.tracker import AZIMUTH, DISTANCE, ELEVATION, FACE, PolarReading
+from metrocli.instruments.tracker import AZIMUTH, DISTANCE, ELEVATION, FACE
 from metrocli.tasks.adjust_network import KIND
 from metrocli.tasks.adjust_network.effects import EFFECTS, MOVED, NO_MIRROR, NO_TIMES, STEERING
 from metrocli.tasks.adjust_network.groups import GIVEN_POINTS, is_certified, is_sighting
+from metrocli.tasks.adjust_network.noise import ideal
 from metrocli.tasks.adjust_network.solve import AdjustedNetwork, refitted
 from metrocli.tasks.shared.diagnosed import FOLDS, in_time
 from metrocli.tasks.shared.lists import unless_without_noise
@@ -67,18 +67,11 @@ def covariates(model: Model) -> Iterator[Covariate]:
     """Yield the quantities with which an unknown effect on sightings could vary."""
     groups = [group for group in model.readings if is_sighting(group)]
     yield from in_time(groups)
-    seen = {group.name: _ideal(model, group) for group in groups}
+    seen = {group.name: ideal(group, model.blocks) for group in groups}
     if seen:
         yield Covariate("azimuth", {name: values[AZIMUTH] for name, values in seen.items()}, angle=True)
         yield Covariate("elevation", {name: values[ELEVATION] for name, values in seen.items()})
         yield Covariate("distance_mm", {name: values[DISTANCE] for name, values in seen.items()})
-
-
-def _ideal(model: Model, group: Group) -> Array:
-    """Return azimuth, elevation and distance of sightings, (3, n)."""
-    links = group.chain.links
-    ideal = Chain(links[: next(i for i, link in enumerate(links) if isinstance(link, PolarReading)) + 1])
-    return ideal.predict(model.blocks, group.observations)
 
 
 def _folds(group: Group) -> Index:
@@ -110,11 +103,7 @@ def noise_of(solved: AdjustedNetwork, model: str, factor: float) -> JobNoise:
     estimates = (*stations, *free_blocks(solved.network.effects))
 
     def clusters() -> Clusters:
-        of = {group.name: _blocks_of(group) for group in solved.groups}
+        of = {group.name: in_blocks(group.observations.order) for group in solved.groups}
         return Clusters(of, POINTS_IN_TIME, grows=False, free=solved.network.datum is not None)
 
     return job_noise((solved.solution, factor), model, clusters, estimates, (t.POINT,))
-
-
-def _blocks_of(group: Group) -> Index:
-    return in_blocks(group.observations.order)

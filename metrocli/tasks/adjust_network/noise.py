@@ -39,13 +39,17 @@ def parts_of(instruments: Mapping[str, NetworkInstrument], which: Index) -> dict
 
 def of_sightings(group: Group, blocks: Mapping[str, Block]) -> Array:
     """Return the standard deviations of one component of sightings, (1, n)."""
-    links, given = group.chain.links, group.observations.conditions
-    ideal = Chain(links[: next(i for i, link in enumerate(links) if isinstance(link, PolarReading)) + 1])
-    seen = ideal.predict(blocks, group.observations)
-    which = component(group)
-    sigma = _sigma(which, seen, [given[f"noise {name}"] for name in _PARTS])
+    which, given = component(group), group.observations.conditions
+    sigma = _sigma(which, ideal(group, blocks), [given[f"noise {name}"] for name in _PARTS])
     listed = given[GIVEN[which]]
     return np.asarray((np.where(np.isnan(listed), sigma, listed) * given.get(FACTOR, np.ones(1)))[None])
+
+
+def ideal(group: Group, blocks: Mapping[str, Block]) -> Array:
+    """Return azimuth, elevation and distance of sightings without errors of the instrument, (3, n)."""
+    links = group.chain.links
+    chain = Chain(links[: next(i for i, link in enumerate(links) if isinstance(link, PolarReading)) + 1])
+    return chain.predict(blocks, group.observations)
 
 
 def _sigma(which: int, seen: Array, parts: Sequence[Array]) -> Array:

@@ -227,12 +227,6 @@ def _value(network: Network, aim: str) -> float:
 
 def _with_station(files: Files, name: str, instrument: str, place: Array) -> Files:
     """Return the files with one more station; its sightings are planned with the others."""
-    old = files.stations
-    empty = {
-        key: (np.array([""]) if column.dtype.kind == "U" else np.array([np.nan])) for key, column in old.columns.items()
-    }
     new = {"station": np.array([name]), "instrument": np.array([instrument])}
     new |= {axis: np.array([value]) for axis, value in zip("xyz", place, strict=True)}
-    columns = {key: np.concatenate([column, new.get(key, empty[key])]) for key, column in old.columns.items()}
-    stations = replace(old, columns=columns, lines=())
-    return replace(files, stations=stations)
+    return replace(files, stations=files.stations.extended(new))

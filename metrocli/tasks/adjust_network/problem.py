@@ -81,7 +81,7 @@ def build(
     settings: Settings, readings: NetworkReadings, start: NetworkStart, requests: Sequence[RequestedEffect] = ()
 ) -> Network:
     """Return the adjustment of readings with starting values, and with the effects that a job adds."""
-    extent = float(np.nanmax(np.ptp(start.points[np.isfinite(start.points).all(axis=1)], axis=0), initial=0.0)) or 1.0
+    extent = start.extent or 1.0
     blocks = {block.name: block for block in blocks_of(readings, start, extent)}
     bend = 0.0 if settings.vertical is None else settings.vertical.refraction / (2 * settings.vertical.radius)
     groups = [
@@ -101,13 +101,13 @@ def build(
     if readings.lengths is not None or readings.bars is not None:
         aspects |= {name: partial(_of_lengths, aspect) for name, aspect in t.aspects(t.reach()).items()}
     nominal = {t.POINT: blocks[t.POINT].values.copy()}
-    ready = [_weighed(with_aspects(group, aspects, blocks)[0], noise, blocks) for group in groups]
+    ready = [weighed_at(with_aspects(group, aspects, blocks)[0], noise, blocks) for group in groups]
     model = Model(blocks, (*ready, *g.known(readings, blocks)), datum, measured, places, aspects, nominal=nominal)
     network = Network(model, readings, noise, settings, start, tuple(requests), first)
     return network.with_effects(requests)
 
 
-def _weighed(group: Group, noise: Mapping[str, Noise], blocks: Mapping[str, Block]) -> Group:
+def weighed_at(group: Group, noise: Mapping[str, Noise], blocks: Mapping[str, Block]) -> Group:
     """Return a group with its standard deviations at the values of the blocks."""
     if group.name not in noise:
         return group
@@ -213,7 +213,7 @@ def _not_determined(readings: NetworkReadings) -> list[int]:
     The reduced system of a single station does not tell the scale, or the turns of its vertical, from a shift.
     """
     stations = np.unique(readings.sightings.station)
-    level = any(readings.of(i).is_levelled for i in stations)
+    level = bool(readings.levelled[stations].any())
     oriented = np.isfinite(readings.stations.gamma[stations]).any()
     lengths = readings.lengths is not None or readings.bars is not None
     lengths = lengths or bool(np.isfinite(readings.sightings.values[DISTANCE]).any())

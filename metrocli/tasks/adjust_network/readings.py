@@ -7,13 +7,15 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from metrocli.arrays import Array, Index
+from metrocli.arrays import Array, Index, Mask
 from metrocli.errors import InputError, all_faults
 from metrocli.frozen import dataclass
+from metrocli.instruments.tracker import cartesian
 from metrocli.result import Result
 from metrocli.table import Table
 from metrocli.tasks.adjust_network import noise as n
@@ -73,6 +75,21 @@ class NetworkReadings:
     def of(self, station: int) -> NetworkInstrument:
         """Return the instrument of a station."""
         return self.instruments[list(self.instruments)[self.stations.instrument[station]]]
+
+    @cached_property
+    def levelled(self) -> Mask:
+        """Which stations have a vertical standing axis, (stations,)."""
+        return np.array([self.of(i).is_levelled for i in range(len(self.stations.names))], dtype=bool)
+
+    def local(self, rows: Index, values: Array) -> Array:
+        """Return where whole sightings put their points, from the origin of the instrument, (n, 3).
+
+        `values` (3, n) are azimuth, elevation and distance of the sightings in some rows. Heights of targets are taken
+        along the standing axis, as a start needs them.
+        """
+        places = cartesian(values)[0].T
+        places[:, 2] -= self.sightings.height[rows] + self.setups[1][self.sightings.setup[rows]]
+        return places
 
 
 def read(settings: Settings, files: Files) -> NetworkReadings:

@@ -35,6 +35,7 @@ from metrocli.tasks.shared.statistics import (
     noise_warnings,
     point_shift,
     with_job_noise,
+    with_tests,
 )
 from metrocli.words import counted, listed
 
@@ -236,7 +237,7 @@ def _listed(chosen: Sequence[SuspectedReading]) -> Table:
 
 
 def _named(chosen: Sequence[SuspectedReading]) -> list[str]:
-    return [f"{suspect.name} (w = {suspect.test:.1f})" for suspect in chosen]
+    return with_tests([suspect.name for suspect in chosen], [suspect.test for suspect in chosen])
 
 
 def _statistics(solved: AdjustedNetwork, solution: Solution) -> Statistics:

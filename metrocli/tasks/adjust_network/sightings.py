@@ -60,6 +60,11 @@ class PolarSightings:
     """Known height of the target above its point"""
 
     @property
+    def station_of_round(self) -> Index:
+        """Station of each round, (rounds,)."""
+        return np.array([station for station, _ in self.rounds], dtype=np.intp)
+
+    @property
     def raised(self) -> Mask:
         """Sightings whose target stands above its point."""
         return np.asarray((self.setup > 0) | (self.height != 0))
@@ -75,7 +80,7 @@ def stations_of(settings: Settings, files: Files, names: Sequence[str]) -> Stati
             instrument = matched(table, "instrument", list(settings.instruments), "`instruments:`")
         with each():
             over = np.full(n, -1, dtype=np.intp)
-            rows = np.array([i for i, text in enumerate(_texts(table, "over")) if text], dtype=np.intp)
+            rows = np.array([i for i, text in enumerate(table.texts("over", "")) if text], dtype=np.intp)
             if rows.size:
                 over[rows] = matched(table.selected(rows), "over", names, "the points")
     chosen = list(settings.instruments.values())
@@ -111,7 +116,7 @@ def sightings_of(
             point = matched(table, "point", names, "the points")
         with each():
             setup = np.zeros(n, dtype=np.intp)
-            rows = np.array([i for i, text in enumerate(_texts(table, "setup")) if text], dtype=np.intp)
+            rows = np.array([i for i, text in enumerate(table.texts("setup", "")) if text], dtype=np.intp)
             if rows.size:
                 setup[rows] = matched(table.selected(rows), "setup", setups[1:], "the set-ups") + 1
     values, face = _reduced(table)
@@ -124,7 +129,7 @@ def sightings_of(
         with each():
             chosen = list(settings.instruments.values())
             _refuse_exact(table, values, sigma, [chosen[i] for i in stations.instrument], station)
-    orientation, rounds = _rounds(_texts(table, "round"), station)
+    orientation, rounds = _rounds(table.texts("round", ""), station)
     height = np.nan_to_num(table.numbers("th", 0.0))
     return PolarSightings(table, station, point, values, sigma, face, orientation, rounds, setup, height)
 
@@ -202,10 +207,6 @@ def _rounds(names: Iterable[str], station: Index) -> tuple[Index, tuple[tuple[in
     numbers: dict[tuple[int, str], int] = {}
     of = [numbers.setdefault(pair, len(numbers)) for pair in zip(station.tolist(), names, strict=True)]
     return np.array(of, dtype=np.intp), tuple(numbers)
-
-
-def _texts(table: Table, column: str) -> list[str]:
-    return table.texts(column) if column in table else [""] * len(table)
 
 
 def refuse_pairs(table: Table) -> None:

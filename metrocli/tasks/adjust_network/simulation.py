@@ -25,7 +25,7 @@ from metrocli.simulation import Simulation
 from metrocli.table import Table
 from metrocli.tasks.adjust_network.groups import BARS, HEIGHTS, LENGTHS, ROW, is_sighting
 from metrocli.tasks.adjust_network.noise import component
-from metrocli.tasks.adjust_network.problem import Network, build
+from metrocli.tasks.adjust_network.problem import Network, build, weighed_at
 from metrocli.tasks.adjust_network.readings import read
 from metrocli.tasks.adjust_network.settings import INTERFEROMETER, Files, NetworkSimulation, Settings
 from metrocli.tasks.adjust_network.starts.agreement import NetworkStart
@@ -67,7 +67,7 @@ def _names(files: Files) -> list[str]:
 
 def _shots(stations: Iterable[str], points: Sequence[str], files: Files, truth: NetworkSimulation) -> Table:
     """Return sightings of all points, forth in face 1 and back in face 2; a station does not see its own mark."""
-    over = files.stations.texts("over") if "over" in files.stations else [""] * len(files.stations)
+    over = files.stations.texts("over", "")
     below = dict(zip(files.stations.texts("station"), over, strict=True))
     rows = []
     for station in stations:
@@ -84,16 +84,10 @@ def _joined(old: Table, new: Table) -> Table:
     """Return the rows of two tables of sightings, with the columns of the first if it has rows."""
     if not len(old):
         return new
-    also = {"hz": "az", "zd": "el"}
-    count = len(new)
-    columns = {}
-    for name, values in old.columns.items():
-        given = new.columns.get(also.get(name, name))
-        empty = np.full(count, "") if values.dtype.kind == "U" else np.full(count, np.nan)
-        if name == "t":
-            empty = float(np.max(values)) + _PACE * np.arange(1.0, count + 1)
-        columns[name] = np.concatenate([values, empty if given is None else given])
-    return Table(columns, old.units, old.file)
+    rows = {"hz": new.columns["az"], "zd": new.columns["el"], **new.columns}
+    if "t" in old and "t" not in new:
+        rows["t"] = float(np.max(old.columns["t"])) + _PACE * np.arange(1.0, len(new) + 1)
+    return old.extended(rows)
 
 
 def true_network(
@@ -112,15 +106,13 @@ def true_network(
     lost = [stations.names[i] for i in np.flatnonzero(np.isnan(place).any(axis=1))]
     if lost:
         raise InputError(f"simulate and plan need x, y, z of each station; these have none: {', '.join(lost)}")
-    tilt = rng.normal(0.0, _TILT, (n, 2)) * [[not readings.of(i).is_levelled] for i in range(n)]
+    tilt = rng.normal(0.0, _TILT, (n, 2)) * ~readings.levelled[:, None]
     turn = np.where(np.isnan(stations.gamma), rng.uniform(-np.pi, np.pi, n), stations.gamma)
     for name, gamma in rolled.items():
         tilt[stations.names.index(name), 0] += np.pi / 2
         turn[stations.names.index(name)] = gamma
     pose = poses.pose_from_euler(place, np.column_stack([tilt, turn]))
-    of_rounds = (
-        turn[[station for station, _ in readings.sightings.rounds]] if readings.sightings.rounds else np.zeros(0)
-    )
+    of_rounds = turn[readings.sightings.station_of_round]
     network = build(settings, readings, NetworkStart(np.nan_to_num(readings.points.listed), pose, of_rounds))
     blocks = dict(network.blocks)
     if t.TRACER in blocks:
@@ -138,10 +130,7 @@ def _at(network: Network, blocks: Mapping[str, Block]) -> Network:
     groups = []
     for group in model.groups:
         if group.name in model.measured:
-            group = group.simulated(model.blocks)
-            if group.name in network.noise:
-                sigma = network.noise[group.name](group, model.blocks)
-                group = group.with_observations(replace(group.observations, sigma=sigma))
+            group = weighed_at(group.simulated(model.blocks), network.noise, model.blocks)
         groups.append(group)
     return network.with_model(replace(model, groups=tuple(groups)))
 
@@ -168,8 +157,7 @@ def simulated(
         (HEIGHTS, files.heights, "dh"),
     ):
         if table is not None and name in read_:
-            kept = {key: values for key, values in table.columns.items() if key != column}
-            tables[f"{name}.csv"] = replace(table, columns={**kept, column: read_[name][0]}, units={**table.units})
+            tables[f"{name}.csv"] = table.without(column).changed({column: read_[name][0]})
     names, places = readings.points.names, readings.points.listed
     listed_at = places + rng.normal(0.0, 1.0, places.shape) * truth.point_error
     tables["points.csv"] = listed_places("point", names, listed_at)

@@ -158,7 +158,7 @@ def _weighted(network: Network) -> Solution:
 
 def _robust(network: Network, always: bool = False) -> dict[str, Block]:
     """Return values that gross errors do not spoil (`robust_start`)."""
-    names = [name for name in network.model.measured if is_sighting(network.model.group(name))]
+    names = [group.name for group in network.model.readings if is_sighting(group)]
     wrong, state = contradicting(network, network.blocks), dict(network.blocks)
     if names:
         # what contradicts the set-ups would pull them: it waits until they are joined

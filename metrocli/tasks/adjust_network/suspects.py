@@ -90,7 +90,7 @@ def contradictions(
 def with_gross(wrong: Mapping[str, Index], network: Network, blocks: Mapping[str, Block]) -> dict[str, Index]:
     """Return rows of wrong readings by group, with those of the sightings that are far off at values of the blocks."""
     rows = dict(wrong)
-    for group in (network.model.group(name) for name in network.model.measured):
+    for group in network.model.readings:
         far = np.flatnonzero(gross(group, blocks)) if is_sighting(group) else ()
         if len(far):
             rows[group.name] = np.union1d(rows.get(group.name, far), far)

@@ -24,8 +24,7 @@ def kind_of_stations(readings: NetworkReadings) -> list[str]:
     used[readings.sightings.station] = True
     kinds = []
     for number, over in enumerate(readings.stations.over.tolist()):
-        levelled = readings.of(number).is_levelled
-        kind = (s.OVER if over >= 0 else s.LEVELLED) if levelled else s.STATION
+        kind = (s.OVER if over >= 0 else s.LEVELLED) if readings.levelled[number] else s.STATION
         kinds.append(kind if used[number] else "")
     if readings.lengths is not None:
         for number in np.unique(readings.lengths.first):
@@ -119,13 +118,13 @@ def _orientations(readings: NetworkReadings, start: NetworkStart) -> Block:
     """Return the azimuths of the rounds; a round in which no azimuth was read has none."""
     seen = readings.sightings
     read = np.bincount(seen.orientation, np.isfinite(seen.values[0]), len(seen.rounds)) > 0
-    level = np.array([readings.of(station).is_levelled for station, _ in seen.rounds])
-    several = np.bincount([station for station, _ in seen.rounds], minlength=len(readings.stations.names)) > 1
+    level = readings.levelled[seen.station_of_round]
+    several = np.bincount(seen.station_of_round, minlength=len(readings.stations.names)) > 1
     names = [
         f"{readings.stations.names[station]} {name}" if several[station] else readings.stations.names[station]
         for station, name in seen.rounds
     ]
-    known = readings.stations.gamma[[station for station, _ in seen.rounds]]
+    known = readings.stations.gamma[seen.station_of_round]
     free = read & level & np.isnan(known)
     block = s.orientation_block(np.where(level, np.where(np.isnan(known), start.gamma, known), 0.0), names)
     return replace(block, free=free[:, None])

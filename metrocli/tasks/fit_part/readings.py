@@ -191,7 +191,7 @@ def _chosen_targets(settings: Settings, table: Table) -> Mask:
 def _written_surfaces(settings: Settings, table: Table, known: tuple[str, ...]) -> list[str]:
     """Return the surface that the file gives for each point, or the job, which wins; empty without one."""
     names = table.texts("point")
-    written = list(table.texts("surface")) if "surface" in table else [""] * len(names)
+    written = list(table.texts("surface", ""))
     faults = []
     for surface, patterns in settings.surfaces.items():
         if known and surface not in known:

@@ -49,7 +49,8 @@ class PlannedPoints:
         """Return point, tracer and conditions of each reading; times and temperatures follow from `pace`, if given."""
         if self.lengths is not None:
             kept = (*_KEPT, *self.lengths.further)
-            return _with(self.lengths, {name: self.lengths.columns[name] for name in kept if name in self.lengths})
+            columns = {name: self.lengths.columns[name] for name in kept if name in self.lengths}
+            return replace(self.lengths, columns=columns)
         names, stations = self.points.texts("point"), self.tracers.texts("tracer")
         turn = np.repeat(np.arange(len(names)), len(stations)).astype(float)
         columns: dict[str, Values] = {"point": np.repeat(np.array(names), len(stations))}
@@ -63,22 +64,20 @@ class PlannedPoints:
     def with_tracer(self, name: str, place: Array) -> PlannedPoints:
         """Return the measurement with one more tracer, which reads every point that the others read."""
         row = {"tracer": name, **dict(zip("xyz", place.tolist(), strict=True))}
-        added: dict[str, Values] = {key: np.array([row.get(key, np.nan)]) for key in self.tracers}
-        more = replace(self, tracers=_with(self.tracers, _appended(self.tracers, added), False))
+        more = replace(self, tracers=self.tracers.extended({key: np.array([value]) for key, value in row.items()}))
         if self.lengths is None:
             return more
         first = np.unique(self.lengths.columns["point"], return_index=True)[1]
-        added = {key: values[first] for key, values in self.lengths.columns.items()}
-        added["tracer"] = np.array([name] * len(first))
-        return replace(more, lengths=_with(self.lengths, _appended(self.lengths, added), False))
+        added = {**self.lengths.selected(first).columns, "tracer": np.array([name] * len(first))}
+        return replace(more, lengths=self.lengths.extended(added))
 
     def of_points(self, rows: Index) -> PlannedPoints:
         """Return the measurement with only these points."""
-        fewer = replace(self, points=_chosen(self.points, rows))
+        fewer = replace(self, points=self.points.selected(rows))
         if self.lengths is None:
             return fewer
         kept = np.isin(self.lengths.columns["point"], fewer.points.columns["point"])
-        return replace(fewer, lengths=_chosen(self.lengths, np.flatnonzero(kept)))
+        return replace(fewer, lengths=self.lengths.selected(kept))
 
 
 @dataclass(frozen=True)
@@ -107,7 +106,7 @@ class PlannedNetwork:
         air = air_of(self.settings.environment, design, "tracer")
         read = distance if air is None else distance / air.towards
         lengths = design.changed({"length": read})
-        bare = replace(tracers, columns={k: v for k, v in tracers.columns.items() if k != "dead_path"})
+        bare = tracers.without("dead_path")
         readings = read_lengths(self.settings, Files(lengths, points, bare))
         listed_at = readings.tracers.listed_at
         places = np.column_stack([listed_at, np.zeros(len(listed_at)), np.ones(len(listed_at))])
@@ -167,18 +166,6 @@ def worst_direction(covariances: Array) -> Array:
 def root_mean_square(covariances: Array) -> float:
     """Return the root mean square standard uncertainty of all coordinates, from covariances (n, 3, 3)."""
     return float(np.sqrt(max(np.einsum("mii->m", covariances).mean() / 3, 0.0)))
-
-
-def _chosen(table: Table, rows: Index) -> Table:
-    return _with(table, {name: values[rows] for name, values in table.columns.items()}, False)
-
-
-def _appended(table: Table, added: dict[str, Values]) -> dict[str, Values]:
-    return {key: np.concatenate([np.asarray(values), added[key]]) for key, values in table.columns.items()}
-
-
-def _with(table: Table, columns: dict[str, Values], lines: bool = True) -> Table:
-    return replace(table, columns=columns, lines=table.lines if lines else ())
 
 
 _ACROSS, _BEYOND = 5, 0.5

@@ -36,17 +36,23 @@ class NetworkStart:
     gamma: Array
     """Azimuth of each round of a levelled station, (rounds,)"""
 
+    @property
+    def extent(self) -> float:
+        """Largest extent of the known points along an axis [mm]; 0 without any."""
+        known = self.points[np.isfinite(self.points).all(axis=1)]
+        return float(np.ptp(known, axis=0).max()) if len(known) else 0.0
+
 
 def placed(readings: NetworkReadings, rough: NetworkStart) -> tuple[Index, Array]:
     """Return the whole sightings, and where each puts its point."""
     seen = readings.sightings
     rows = np.flatnonzero(np.isfinite(seen.values).all(axis=0) & np.isfinite(rough.poses[seen.station, 0]))
-    local = cartesian(seen.values[:, rows])[0].T
     pose = rough.poses[seen.station[rows]].copy()
-    level = np.array([readings.of(i).is_levelled for i in range(len(readings.stations.names))])[seen.station[rows]]
+    level = readings.levelled[seen.station[rows]]
     pose[level, 5] = rough.gamma[seen.orientation[rows][level]]
-    places = poses.apply(pose, local)
-    places[:, 2] -= seen.height[rows] + np.nan_to_num(readings.setups[1][seen.setup[rows]])
+    places = poses.apply(pose, cartesian(seen.values[:, rows])[0].T)
+    # along the vertical of the network, also where the instrument is not levelled
+    places[:, 2] -= seen.height[rows] + readings.setups[1][seen.setup[rows]]
     return rows, places
 
 
@@ -56,8 +62,7 @@ def known_turns(readings: NetworkReadings) -> Array:
     A round has it too if it shares a direction with a listed one over the same point.
     """
     seen, stations = readings.sightings, readings.stations
-    of = np.array([station for station, _ in seen.rounds], dtype=np.intp)
-    turns, over = stations.gamma[of], stations.over[seen.station]
+    turns, over = stations.gamma[seen.station_of_round], stations.over[seen.station]
     key = over * readings.points.count + seen.point
     bearing = turns[seen.orientation] + seen.values[0]
     known = np.isfinite(bearing) & (over >= 0)
@@ -127,8 +132,7 @@ def _differ_in_shape(readings: NetworkReadings) -> bool:
     """
     seen = readings.sightings
     rows = np.flatnonzero(np.isfinite(seen.values).all(axis=0))
-    local = cartesian(seen.values[:, rows])[0].T
-    local[:, 2] -= seen.height[rows] + np.nan_to_num(readings.setups[1][seen.setup[rows]])
+    local = readings.local(rows, seen.values[:, rows])
     place = np.full((len(seen.rounds), readings.points.count, 3), np.nan)
     place[seen.orientation[rows], seen.point[rows]] = local
     off = []

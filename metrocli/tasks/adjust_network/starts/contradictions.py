@@ -106,10 +106,9 @@ def removable(network: Network) -> dict[str, Index]:
     if alone.any():
         named = _in_words(network, rows[alone], off[alone])
         raise NotConvergedError(f"sightings contradict the set-ups: {named}{_UNDECIDED}")
-    groups = (network.model.group(name) for name in network.model.measured)
     return {
         group.name: np.flatnonzero(np.isin(group.observations.index[ROW], rows))
-        for group in groups
+        for group in network.model.readings
         if is_sighting(group) and rows.size
     }
 
@@ -135,7 +134,7 @@ def refusal(network: Network, rows: Mapping[str, Index]) -> NotConvergedError:
 
 def _others(network: Network) -> list[Group]:
     """Return the groups beside those of sightings, if there are sightings."""
-    groups = [network.model.group(name) for name in network.model.measured]
+    groups = network.model.readings
     # the points of a single set-up are where it puts them, right or wrong
     several = len(np.unique(network.readings.sightings.station)) > 1
     given = [group for group in groups if group.name.startswith(GIVEN_POINTS)]
@@ -149,8 +148,7 @@ def _off(group: Group, blocks: Mapping[str, Block]) -> Array:
 
 
 def _limit(network: Network) -> float:
-    places = network.start.points[np.isfinite(network.start.points).all(axis=1)]
-    return CONTRADICTORY * float(np.ptp(places, axis=0).max(initial=0.0))
+    return CONTRADICTORY * network.start.extent
 
 
 def decided_places(network: Network, solution: Solution) -> tuple[Mirrored, ...]:

@@ -15,7 +15,7 @@ import numpy as np
 from metrocli.arrays import Array, Index
 from metrocli.frozen import dataclass
 from metrocli.geometry import poses
-from metrocli.instruments.tracker import AZIMUTH, DISTANCE, ELEVATION, cartesian
+from metrocli.instruments.tracker import AZIMUTH, DISTANCE, ELEVATION
 from metrocli.tasks.adjust_network.readings import NetworkReadings
 from metrocli.tasks.adjust_network.starts.agreement import fitted, medians
 from metrocli.units import INCH, find_unit
@@ -127,9 +127,7 @@ class _Figures:
             values[component] = (
                 _from_the_zenith(convention.read(_from_the_zenith(own))) if turned else convention.read(own)
             )
-        local = cartesian(values)[0].T
-        local[:, 2] -= seen.height[rows] + np.nan_to_num(self._readings.setups[1][seen.setup[rows]])
-        return medians(local, seen.point[rows], self._readings.points.count)
+        return medians(self._readings.local(rows, values), seen.point[rows], self._readings.points.count)
 
     def groups(self) -> list[list[int]]:
         """Return the stations in groups whose figures are congruent, also by way of a third one."""
@@ -158,6 +156,6 @@ class _Figures:
         lengths = [np.linalg.norm(each - np.roll(each, 1, axis=0), axis=1) for each in (x, y)]
         if np.quantile(np.abs(lengths[0] - lengths[1]), _RIGHT_LENGTHS) > 2 * bound:
             return False
-        level = self._readings.of(station).is_levelled and self._readings.of(other).is_levelled
+        level = bool(self._readings.levelled[[station, other]].all())
         miss = np.linalg.norm(poses.apply(fitted(x, y, level), x) - y, axis=1)
         return bool(np.median(miss) < bound)

@@ -42,17 +42,16 @@ def _whole(places: Array) -> Mask:
 class _Search:
     """Points and set-ups that are placed so far."""
 
-    def __init__(self, readings: NetworkReadings, begin: Array, levelled: Mask) -> None:
+    def __init__(self, readings: NetworkReadings, begin: Array) -> None:
         """`begin` (points, 3) are the points that are known at the beginning, nan for others."""
-        self.readings, self.levelled = readings, levelled
+        self.readings, self.levelled = readings, readings.levelled
         seen = readings.sightings
         self.points = begin.copy()
         self.poses = np.full((len(readings.stations.names), 6), np.nan)
         self.gamma, self.turns = np.full(len(seen.rounds), np.nan), known_turns(readings)
         self.whole: Mask = np.asarray(~np.isnan(seen.values).any(axis=0))
         self.local = np.full((len(seen.point), 3), np.nan)
-        self.local[self.whole] = cartesian(seen.values[:, self.whole])[0].T
-        self.local[:, 2] -= seen.height + readings.setups[1][seen.setup]
+        self.local[self.whole] = readings.local(np.flatnonzero(self.whole), seen.values[:, self.whole])
         order = np.argsort(seen.orientation, kind="stable")
         counts = np.bincount(seen.orientation, minlength=len(seen.rounds))
         self.rows = np.split(order, np.cumsum(counts)[:-1]) if len(counts) else []
@@ -196,13 +195,12 @@ def start(readings: NetworkReadings) -> NetworkStart:
     Set-ups are placed on the list of points, if they agree there, and else on each other. Raises UndeterminedError that
     names set-ups that cannot be joined, and NotConvergedError for set-ups that contradict each other.
     """
-    levelled = np.array([readings.of(i).is_levelled for i in range(len(readings.stations.names))])
     readings, given = with_level_beams(readings), readings.points.listed
-    search = _Search(readings, given, levelled)
+    search = _Search(readings, given)
     search.run()
     begun = search.network_start()
     if search.stuck() or max(disagreement(readings, begun)[0], list_offset(readings, begun)) > _LOOSE:
-        search = _alone(readings, levelled)
+        search = _alone(readings)
         _onto_list(search, given)
     search.intersect()
     _must_be_joined(search)
@@ -211,11 +209,11 @@ def start(readings: NetworkReadings) -> NetworkStart:
     return search.network_start()
 
 
-def _alone(readings: NetworkReadings, levelled: Mask) -> _Search:
+def _alone(readings: NetworkReadings) -> _Search:
     """Return the points in the frame of a set-up: a levelled one if there is one, that which sees most points."""
-    search = _Search(readings, np.full_like(readings.points.listed, np.nan), levelled)
+    search = _Search(readings, np.full_like(readings.points.listed, np.nan))
     shots = [int(search.whole[rows].sum()) for rows in search.rows]
-    level = [bool(levelled[station]) for station, _ in readings.sightings.rounds]
+    level = readings.levelled[readings.sightings.station_of_round].tolist()
     turned = [bool(np.isfinite(readings.stations.gamma[station])) for station, _ in readings.sightings.rounds]
     # a known azimuth is that of the frame, a levelled station has its vertical: both are worth more than many points
     begin = max(range(len(shots)), key=lambda i: (shots[i] > 0 and turned[i], shots[i] > 0 and level[i], shots[i]))
@@ -268,8 +266,7 @@ def _moved(search: _Search, move: Array) -> None:
     moved = poses.compose(move, search.poses[placed])
     search.poses[:, :3] = poses.apply(move, search.poses[:, :3])
     search.poses[placed] = moved
-    of = np.array([station for station, _ in search.readings.sightings.rounds], dtype=np.intp)
-    search.gamma = np.where(level[of], search.gamma + move[5], search.gamma)
+    search.gamma = np.where(level[search.readings.sightings.station_of_round], search.gamma + move[5], search.gamma)
 
 
 def _must_be_joined(search: _Search) -> None:

@@ -174,10 +174,8 @@ class _Reading:
         if simulation is None or (not simulation.polar and (listed is None or "distance" not in listed)):
             return self.table.joined({" ".join(CARTESIAN) + " [mm]": seen.T})
         azimuth, elevation, distance = polar(seen)[0]
-        plain = Table(
-            {name: self.table.columns[name] for name in self.table if name not in CARTESIAN}, self.table.units
-        )
-        return plain.joined({"distance [mm]": distance, "azimuth elevation [rad]": np.stack([azimuth, elevation], 1)})
+        read = {"distance [mm]": distance, "azimuth elevation [rad]": np.stack([azimuth, elevation], 1)}
+        return self.table.without(*CARTESIAN).joined(read)
 
     def lengths(self, rng: np.random.Generator) -> Table:
         """Return the poses with the lengths that stations read in their air, zero at their first points."""

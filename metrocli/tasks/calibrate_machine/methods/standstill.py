@@ -113,9 +113,6 @@ def _measured(settings: Settings, points: Table, network: Result | None) -> tupl
     return measured, settings.noise.of_tracker.covariance(measured), NONE
 
 
-_RUN = "run"
-
-
 @dataclass(frozen=True)
 class PositionsOfAxes:
     """Unknown positions of rotary axes; empty where all are given."""
@@ -131,7 +128,7 @@ def positions_of(settings: Settings, machine: Machine, position: Array, points: 
     An axis that a run does not move has one position in it. Without a column run all rows are one run.
     """
     estimated = {letter for letter, axis in settings.machine.axes.turning.items() if axis.positions == ESTIMATED}
-    runs = np.array(points.texts(_RUN) if _RUN in points else ("",) * len(points))
+    runs = np.array(points.texts("run", ""))
     positions = PositionsOfAxes()
     for axis, own in zip(machine.axes, position, strict=True):
         if axis.letter in estimated:

@@ -92,8 +92,7 @@ def _blocks(settings: Settings, machine: Machine, table: Table, files: Files) ->
 
 def _names(settings: Settings, table: Table) -> list[tuple[str, str]]:
     """Return for each pose what is set up for it, and what is read there."""
-    n = len(table)
-    tools = table.texts("tool") if "tool" in table else [""] * n
+    tools = table.texts("tool", "")
     if settings.method == PROBING:
         balls = table.texts("ball")
         return [(f"mount probe {tool}".strip(), f"ball {ball}") for tool, ball in zip(tools, balls, strict=True)]

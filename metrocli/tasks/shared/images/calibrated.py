@@ -60,7 +60,7 @@ def stated_cameras(result: Result) -> list[StatedCamera]:
         width, height = (int(float(result.statistics[name])) for name in _SIZE)  # type: ignore[arg-type]
         return [StatedCamera("", dict(named), convention, (width, height), shape=_shape(result, (width, height)))]
     sizes = cameras.stacked(_SIZE).astype(int).tolist()
-    images = cameras.texts("images") if "images" in cameras else [""] * len(cameras)
+    images = cameras.texts("images", "")
     conventions = cameras.texts("convention") if "convention" in cameras else [convention] * len(cameras)
     place, stated = cameras.stacked(poses.EULER), list[StatedCamera]()
     for row, name in enumerate(cameras.texts("camera")):
