@@ -76,29 +76,27 @@ def positioning(runs: Sequence[Run], known: LineUncertainty) -> tuple[Table | No
         return None, warnings
     evaluated = [figures(line.up, line.down) for line in whole]
     spread = [expanded(line.up, line.down, _internal(line.axis, line.targets), known) for line in whole]
-    table = Table.of(
-        {
-            "axis": [line.axis for line in whole],
-            "at": [line.at for line in whole],
-            "line": [line.name for line in whole],
-            "runs_up": [len(line.up) for line in whole],
-            "runs_down": [len(line.down) for line in whole],
-            **{
-                f"{name} [{_unit_of_deviation(whole[0].axis)}]": [figure[name] for figure in evaluated]
-                for name in FIGURES
-            },
-            **{
-                f"U_{name} [{_unit_of_deviation(whole[0].axis)}]": [figure[name] for figure in spread]
-                for name in FIGURES
-            },
-        }
-    )
-    return table, warnings
+    columns: dict[str, Sequence[object]] = {
+        "axis": [line.axis for line in whole],
+        "at": [line.at for line in whole],
+        "line": [line.name for line in whole],
+        "runs_up": [len(line.up) for line in whole],
+        "runs_down": [len(line.down) for line in whole],
+    }
+    unit = _unit_of_deviation(whole[0].axis)
+    columns |= {f"{name} [{unit}]": [figure[name] for figure in evaluated] for name in FIGURES}
+    columns |= {f"U_{name} [{unit}]": [figure[name] for figure in spread] for name in FIGURES}
+    return Table.of(columns), warnings
 
 
 def _internal(axis: str, targets: Array) -> Array:
     """Return targets of an axis [mm, deg] in internal units."""
     return np.radians(targets) if axis in ANGLES else targets
+
+
+def _unit_of_target(axis: str) -> str:
+    """Return the unit in which targets of an axis are shown."""
+    return "deg" if axis in ANGLES else "mm"
 
 
 def _unit_of_deviation(axis: str) -> str:
@@ -130,7 +128,7 @@ def _whole(runs: Sequence[Run]) -> tuple[list[_LineRuns], list[str]]:
         )
         warnings += [
             f"{where}: {without}; the figures of ISO 230-2 leave it out"
-            for without in _left_out(targets, rare, places, "deg" if axis in ANGLES else "mm")
+            for without in _left_out(targets, rare, places, _unit_of_target(axis))
         ]
         if max(len(up), len(down)) > 1 or min(len(up), len(down)) > 0:
             size = (-1, len(targets))
@@ -196,32 +194,20 @@ def _lines(runs: Sequence[Run]) -> list[tuple[str, str, str]]:
 
 def _too_few(lines: Sequence[_LineRuns]) -> list[str]:
     """Return warnings of axes of up to 2 m or one turn with fewer runs in a direction, or targets, than are asked."""
-    runs: dict[tuple[str, int, int], list[str]] = {}
-    targets: dict[tuple[str, int, float], list[str]] = {}
+    runs: dict[tuple[str, str], list[str]] = {}
+    targets: dict[tuple[str, str], list[str]] = {}
     for line in lines:
         travel, up, down, count = float(np.ptp(line.targets)), len(line.up), len(line.down), len(line.targets)
+        where, fewest = _where(line.name, line.at), fewest_targets(line.axis, travel)
         if travel <= _LONG and min(up, down) < RUNS:
-            runs.setdefault((line.axis, up, down), []).append(_where(line.name, line.at))
-        if line.axis in AXES and travel <= _LONG and count < fewest_targets(line.axis, travel):
-            targets.setdefault((line.axis, count, travel), []).append(_where(line.name, line.at))
-    return [
-        *(
-            f"axis {axis}, {listed(names, 5)}: {up} run{'s' * (up != 1)} up and {down} down; {_ASKS} "
-            "five in each direction"
-            for (axis, up, down), names in runs.items()
-        ),
-        *(
-            f"axis {axis}, {listed(names, 5)}: {count} targets over {travel:g} mm; {_ASKS} five per metre, and "
-            "at least five"
-            for (axis, count, travel), names in targets.items()
-        ),
-        *(
-            f"axis {line.axis}, {_where(line.name, line.at)}: {len(line.targets)} targets over "
-            f"{np.ptp(line.targets):g} deg; {_ASKS} {fewest_targets(line.axis, float(np.ptp(line.targets)))}"
-            for line in lines
-            if line.axis in ANGLES and len(line.targets) < fewest_targets(line.axis, float(np.ptp(line.targets)))
-        ),
-    ]
+            lack = f"{up} run{'s' * (up != 1)} up and {down} down; {_ASKS} five in each direction"
+            runs.setdefault((line.axis, lack), []).append(where)
+        if count < fewest and (line.axis in ANGLES or travel <= _LONG):
+            asked = str(fewest) if line.axis in ANGLES else "five per metre, and at least five"
+            lack = f"{count} targets over {travel:g} {_unit_of_target(line.axis)}; {_ASKS} {asked}"
+            targets.setdefault((line.axis, lack), []).append(where)
+    lacking = (*runs.items(), *targets.items())
+    return [f"axis {axis}, {listed(names, 5)}: {lack}" for (axis, lack), names in lacking]
 
 
 def _where(line: str, at: str) -> str:

@@ -127,6 +127,7 @@ def report(solved: AdjustedMachine, settings: Settings, noise: JobNoise, listed:
 
 def _notes(solved: AdjustedMachine, settings: Settings, noise: JobNoise) -> Iterator[str]:
     """Yield what the machine was measured and adjusted with, in sentences."""
+    yield ""
     yield from identifiability_notes(solved.identified)
     yield from solved.problem.notes
     yield from _at_20_degrees(settings)

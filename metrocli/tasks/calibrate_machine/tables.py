@@ -66,9 +66,13 @@ class Tables:
     covariance: Array
     """Covariance of the entries, (n, n)"""
 
+    def rows_of(self, name: str) -> list[int]:
+        """Return which entries are those of an error."""
+        return [i for i, (error, _) in enumerate(self.entries) if error == name]
+
     def of(self, name: str) -> tuple[Array, Array, Array]:
         """Return position, value and standard uncertainty of an error."""
-        at = [i for i, (error, _) in enumerate(self.entries) if error == name]
+        at = self.rows_of(name)
         position = np.array([self.entries[i][1] for i in at])
         return position, self.values[at], np.sqrt(np.maximum(np.diag(self.covariance)[at], 0.0))
 
@@ -132,10 +136,9 @@ def least_squares_squareness(tables: Tables) -> tuple[Array, Array]:
     ):
         change[row, len(tables.entries) - 3 + row] = 1.0
         for name, sign in terms:
-            at = [i for i, (error, _) in enumerate(tables.entries) if error == name]
-            position = np.array([tables.entries[i][1] for i in at])
+            position = tables.of(name)[0]
             centred = position - position.mean()
-            change[row, at] += sign * centred / (centred**2).sum()
+            change[row, tables.rows_of(name)] += sign * centred / (centred**2).sum()
     return change @ tables.values, change @ tables.covariance @ change.T
 
 

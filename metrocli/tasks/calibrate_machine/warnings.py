@@ -139,7 +139,7 @@ def misplaced(solved: AdjustedMachine) -> tuple[list[str], list[str]]:
 
 def identifiability_notes(identified: Identifiability) -> list[str]:
     """Return lines of text on what the measurement determines: rank, worst ratio, and undetermined errors."""
-    lines = ["", f"rank {identified.rank} of {identified.unknowns} unknowns{_ratio(identified)}"]
+    lines = [f"rank {identified.rank} of {identified.unknowns} unknowns{_ratio(identified)}"]
     for name in identified.undetermined:
         partners = identified.partners[name]
         lines.append(f"  {name}: {'only together with ' + ' '.join(partners) if partners else 'not at all'}")

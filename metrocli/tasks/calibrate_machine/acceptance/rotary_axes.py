@@ -149,7 +149,7 @@ def _motions(axis: RotaryAxis) -> Iterator[_Motion]:
 
 def _range(tables: Tables, motion: _Motion) -> tuple[float, float, float, float]:
     """Return the least and the largest value of a motion over the knots, its range, and U of this."""
-    at = np.array([[i for i, (error, _) in enumerate(tables.entries) if error == name] for name in motion.errors]).T
+    at = np.array([tables.rows_of(name) for name in motion.errors]).T
     values = (motion.weights * tables.values[at]).sum(axis=1)
     low, high = int(np.argmin(values)), int(np.argmax(values))
     rows, change = np.concatenate([at[high], at[low]]), np.concatenate([motion.weights[high], -motion.weights[low]])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
@@ -110,7 +110,11 @@ def plan_of_path(settings: Settings, table: Table | None) -> Plan:
     """Return what the path of the job will determine, and propose a path with its NC program."""
     wanted = settings.plan
     machine = machine_of(settings)
-    own = [] if table is None else _own(settings, path_of(settings, machine, table))
+    own = []
+    if table is not None:
+        listed = path_of(settings, machine, table)
+        head = f"the path of the job: {len(listed.lengths)} legs, {listed.length:.0f} mm"
+        own = judged(head, settings, lambda: planned_problem(settings, listed))
     longest = wanted.length or edges_and_diagonals(machine).length
     asked = PathRequirements(longest, wanted.ratio * _MARGIN, len(settings.tools), wanted.seed)
     chosen = search(machine, lambda path: planned_problem(settings, path), asked)
@@ -126,7 +130,6 @@ def plan_of_path(settings: Settings, table: Table | None) -> Plan:
         *own,
         f"proposed: {len(path.lengths)} legs, {path.length:.0f} mm of at most {longest:.0f} mm, {time:.0f} s",
         tracker_in_words(machine, wanted),
-        *identifiability_notes(worth.identified)[1:],
     ]
     figures = (Estimate("path_length", path.length, 0.0, "mm"), Estimate("duration", time, 0.0, "s"))
     files: dict[str, Table | str] = {
@@ -159,6 +162,21 @@ def worth_of(settings: Settings, problem: MachineProblem) -> Worth:
     return Worth(identified, predicted_errors(tables, identified), volume)
 
 
+def worth_or_lack(settings: Settings, problem: Callable[[], MachineProblem]) -> Worth | UndeterminedError:
+    """Return what the readings of a problem will determine, or what they leave open."""
+    try:
+        return worth_of(settings, problem())
+    except UndeterminedError as error:
+        return error
+
+
+def judged(head: str, settings: Settings, problem: Callable[[], MachineProblem]) -> list[str]:
+    """Return lines of text on what the readings of the job will determine."""
+    worth = worth_or_lack(settings, problem)
+    lines = identifiability_notes(worth.identified) if isinstance(worth, Worth) else str(worth).splitlines()
+    return [head, *(f"  {line}" for line in lines), ""]
+
+
 def planned(
     notes: Sequence[str],
     figures: Sequence[Estimate],
@@ -166,12 +184,15 @@ def planned(
     files: Mapping[str, Table | str],
     warnings: Sequence[str],
 ) -> Plan:
-    """Return the plan with the figures, tables, files and warnings of the proposed readings."""
+    """Return the plan with the figures, tables, files and warnings of the proposed readings.
+
+    What these will determine follows the other notes.
+    """
     volume = {} if worth.volumetric is None else {"volumetric": worth.volumetric}
     ratio = (Estimate("ratio", worth.identified.ratio, 0.0, "1"),) if volume else ()
     return Plan(
         KIND.name,
-        tuple(notes),
+        (*notes, *identifiability_notes(worth.identified)),
         (*ratio, *figures),
         {"errors": worth.errors, **volume},
         files,
@@ -183,16 +204,6 @@ def planned(
 def travelled_time(path: Path, feed: float) -> float:
     """Return the duration of a path at a feed [s], including the rests at the vertices."""
     return float(path.length / feed + REST * (len(path.lengths) + 1))
-
-
-def _own(settings: Settings, path: Path) -> list[str]:
-    """Return lines of text on what the path of the job will determine."""
-    head = f"the path of the job: {len(path.lengths)} legs, {path.length:.0f} mm"
-    try:
-        identified = identify(planned_problem(settings, path))
-    except UndeterminedError as error:
-        return [head, *(f"  {line}" for line in str(error).splitlines()), ""]
-    return [head, *(f"  {line}" for line in identifiability_notes(identified)[1:]), ""]
 
 
 def predicted_errors(tables: Tables, identified: Identifiability) -> Table:

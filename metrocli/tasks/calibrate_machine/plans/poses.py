@@ -19,13 +19,11 @@ from metrocli.table import Table
 from metrocli.tasks.calibrate_machine.described import machine_of
 from metrocli.tasks.calibrate_machine.files import Files
 from metrocli.tasks.calibrate_machine.methods.poses import in_degrees, places_read, poses_at, problem_at, without_errors
-from metrocli.tasks.calibrate_machine.plans.planned import Worth, planned, tracker_pose, worth_of
+from metrocli.tasks.calibrate_machine.plans.planned import Worth, judged, planned, tracker_pose, worth_of
 from metrocli.tasks.calibrate_machine.plans.pose_program import by_set_up, program_of_poses, with_room
-from metrocli.tasks.calibrate_machine.plans.stops import judged
 from metrocli.tasks.calibrate_machine.problem import MachineProblem
 from metrocli.tasks.calibrate_machine.settings import LENGTHS, PROBING, STANDSTILL, Settings
 from metrocli.tasks.calibrate_machine.volume import shares_spread
-from metrocli.tasks.calibrate_machine.warnings import identifiability_notes
 from metrocli.tasks.shared.lists import listed_places
 
 _FILES = {STANDSTILL: "points.csv", LENGTHS: "lengths.csv", PROBING: "probing.csv"}
@@ -65,7 +63,7 @@ def plan_of_poses(settings: Settings, files: Files) -> Plan:
     if settings.method in names:
         n = len(set(table.texts(names[settings.method])))
         text += f" with {n} {names[settings.method]}s"
-    notes = [*own, text, *identifiability_notes(worth.identified)[1:], _UNCHECKED]
+    notes = [*own, text, _UNCHECKED]
     if settings.method == LENGTHS and files.stations is None:
         stations = without_errors(settings, table, files, np.zeros(6))[1].listed_stations
         proposed |= {} if stations is None else {"stations.csv": stations}

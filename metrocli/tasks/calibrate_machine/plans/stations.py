@@ -26,12 +26,11 @@ from metrocli.table import Table
 from metrocli.tasks.calibrate_machine.described import machine_of
 from metrocli.tasks.calibrate_machine.files import Files
 from metrocli.tasks.calibrate_machine.methods.lengths import lengths
-from metrocli.tasks.calibrate_machine.plans.planned import PLACES, REST, planned, worth_of
-from metrocli.tasks.calibrate_machine.plans.stops import all_over, judged, visits_with_tools
+from metrocli.tasks.calibrate_machine.plans.planned import PLACES, REST, judged, planned, worth_of
+from metrocli.tasks.calibrate_machine.plans.stops import all_over, visits_with_tools
 from metrocli.tasks.calibrate_machine.problem import ERROR_BLOCKS, MachineProblem, tools_of
 from metrocli.tasks.calibrate_machine.settings import Settings
 from metrocli.tasks.calibrate_machine.volume import grid_group, grid_of, without_rigid_motion
-from metrocli.tasks.calibrate_machine.warnings import identifiability_notes
 from metrocli.tasks.shared.lists import listed_places
 
 _TRIED = 150
@@ -78,7 +77,6 @@ def plan_of_stations(settings: Settings, table: Table | None, listed: Table | No
     notes = [
         *own,
         f"proposed: {len(chosen)} stations, each reads {len(points)} points, {choice.time / 3600:.1f} h",
-        *identifiability_notes(worth.identified)[1:],
     ]
     figures = (
         Estimate("stations", float(len(chosen)), 0.0, "1"),

@@ -27,16 +27,17 @@ from metrocli.tasks.calibrate_machine.plans.planned import (
     PLACES,
     REST,
     Worth,
+    judged,
     planned,
     tracker_in_words,
     tracker_pose,
     worth_of,
+    worth_or_lack,
 )
 from metrocli.tasks.calibrate_machine.plans.pose_program import any_turn
 from metrocli.tasks.calibrate_machine.problem import MachineProblem, tool_column, tools_of
 from metrocli.tasks.calibrate_machine.settings import MachineSimulation, Settings
 from metrocli.tasks.calibrate_machine.volume import grid_of, spread_over
-from metrocli.tasks.calibrate_machine.warnings import identifiability_notes
 
 _FEWEST, _GROWTH, _MOST = 12, 1.25, 5000
 _COUNTED = "rotary axes count on through the turn, a little beyond both ends"
@@ -65,8 +66,7 @@ def plan_of_points(settings: Settings, points: Table | None) -> Plan:
         count *= _GROWTH
     blocks = visits_with_tools(settings, table)
     text = program("metrocli points for calibrate-machine", [*PLACES, _RESTS], blocks, wanted.control)
-    where = tracker_in_words(machine_of(settings), wanted)
-    notes = [*own, f"proposed: {len(table)} points", where, *identifiability_notes(worth.identified)[1:]]
+    notes = [*own, f"proposed: {len(table)} points", tracker_in_words(machine_of(settings), wanted)]
     files: dict[str, Table | str] = {"points.csv": table, "points.nc": text}
     return planned(notes, (Estimate("points", float(len(table)), 0.0, "1"),), worth, files, [])
 
@@ -105,23 +105,6 @@ def _seen(settings: Settings, table: Table) -> Callable[[], MachineProblem]:
     return lambda: standstill(settings, without_errors(settings, table, NO_FILES, pose)[0])
 
 
-def worth_or_lack(settings: Settings, problem: Callable[[], MachineProblem]) -> Worth | UndeterminedError:
-    """Return what the readings of a problem will determine, or what they leave open."""
-    try:
-        return worth_of(settings, problem())
-    except UndeterminedError as error:
-        return error
-
-
-def judged(head: str, settings: Settings, problem: Callable[[], MachineProblem]) -> list[str]:
-    """Return lines of text on what the readings of the job will determine."""
-    worth = worth_or_lack(settings, problem)
-    lines: Sequence[str] = (
-        identifiability_notes(worth.identified)[1:] if isinstance(worth, Worth) else str(worth).splitlines()
-    )
-    return [head, *(f"  {line}" for line in lines), ""]
-
-
 def plan_of_lines(settings: Settings, lines: Table | None) -> Plan:
     """Return what the job's lines will determine, and propose lines along the axes and three face diagonals.
 
@@ -149,7 +132,7 @@ def plan_of_lines(settings: Settings, lines: Table | None) -> Plan:
         else:
             blocks += visits(given.position[:, given.of == k].T, wanted.feed)
     text = program(_TITLE, [*([_COUNTED] if machine.turns else PLACES), _RESTS], blocks, wanted.control)
-    notes = [*own, f"proposed: {len(given.names)} lines", *identifiability_notes(worth.identified)[1:]]
+    notes = [*own, f"proposed: {len(given.names)} lines"]
     ratio = worth.identified.ratio
     weak = f"the lines have a ratio of {ratio:.1f}, more than {wanted.ratio:g}: measure further lines at other places"
     files: dict[str, Table | str] = {"lines.csv": in_degrees(table), "lines.nc": text}
