@@ -42,3 +42,19 @@ def test_changed_columns_are_in_place_of_the_old_ones() -> None:
     assert list(changed) == list(TABLE)
     assert changed.stacked(["x", "n"]).tolist() == [[7, 3], [8, 4]]
     assert TABLE.numbers("x").tolist() == [1.0, 2.0]
+
+
+def test_further_rows_are_empty_where_they_say_nothing() -> None:
+    longer = Table(TABLE.columns, TABLE.units, "list.csv", (2, 5)).extended({"x": np.array([7.0])})
+    assert longer.texts("name") == ["a", "b", ""]
+    assert longer.numbers("x").tolist() == [1.0, 2.0, 7.0]
+    assert np.isnan(longer.numbers("n")[2])
+    # a new row stands in no line of the file
+    assert (longer.units, longer.file, longer.lines) == ({"x": "mm"}, "list.csv", ())
+
+
+def test_absent_texts_have_their_default_and_columns_can_be_left_out() -> None:
+    assert TABLE.texts("group", "") == ["", ""]
+    assert list(TABLE.without("x", "n", "group")) == ["name"]
+    with pytest.raises(KeyError):
+        TABLE.texts("group")

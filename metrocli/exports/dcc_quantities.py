@@ -9,6 +9,7 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 
+from metrocli.arrays import Mask
 from metrocli.exports import dcc_elements as dsi
 from metrocli.exports.dcc_elements import DCC, add, add_text
 from metrocli.result import Estimate, K, Result
@@ -51,7 +52,8 @@ def symbols_of(known: Sequence[Estimate], tables: Mapping[str, Table]) -> list[s
 
 def _whole(table: Table) -> Table:
     pairs = _pairs(table)
-    return table.selected(np.isfinite(table.stacked([*pairs, *pairs.values()])).all(axis=1))
+    finite: Mask = np.asarray(np.isfinite(table.stacked([*pairs, *pairs.values()])).all(axis=1))
+    return table.selected(finite)
 
 
 def _pairs(table: Table) -> dict[str, str]:

@@ -156,7 +156,7 @@ def _weighted(network: Network) -> Solution:
     )
 
 
-def _robust(network: Network, always: bool = False) -> dict[str, Block]:
+def _robust(network: Network, always: bool) -> dict[str, Block]:
     """Return values that gross errors do not spoil (`robust_start`)."""
     names = [group.name for group in network.model.readings if is_sighting(group)]
     wrong, state = contradicting(network, network.blocks), dict(network.blocks)

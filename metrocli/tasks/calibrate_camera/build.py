@@ -37,6 +37,8 @@ _GUESSES = (1.0, 0.5, 2.0, 4.0, 8.0)
 """Focal lengths to try, in units of the longer side of the image, if the start from the views fails"""
 _LOST = 0.02
 """A median residual above this share of the longer side of the image means that the start failed"""
+_STEPS = 1000
+"""Most steps to the values from which a lens with rational and prism terms starts"""
 
 
 def build(rig: str, settings: CameraSettings, sighted: Sighted, bars: Table | None = None) -> CameraProblem:
@@ -146,7 +148,7 @@ def _better_start(problem: CameraProblem, settings: CameraSettings) -> CameraPro
             best = min(best, attempt, key=_misfit)
     best = _unmirrored(without_strays(problem.blocks[camera.TARGET].values, best, _resected))
     if set(RATIONAL) & set(settings.estimate) and set(PRISM) & set(settings.estimate):
-        best = _roughly(best.with_estimate([name for name in settings.estimate if name not in PRISM]), steps=1000)
+        best = _roughly(best.with_estimate([name for name in settings.estimate if name not in PRISM]))
     return best.with_estimate(settings.estimate)
 
 
@@ -172,14 +174,10 @@ def _unmirrored(problem: CameraProblem) -> CameraProblem:
     return replace(turned_back, sighted=sighted)
 
 
-def _roughly(problem: CameraProblem, steps: int = 15) -> CameraProblem:
+def _roughly(problem: CameraProblem) -> CameraProblem:
     """Adjust all readings with their declared weights, without a covariance."""
-    solution = adjust(
-        problem.blocks.values(),
-        [problem.images, *problem.others],
-        problem.datum,
-        StoppingRule(limit=steps, covariance=False),
-    )
+    control = StoppingRule(limit=_STEPS, covariance=False)
+    solution = adjust(problem.blocks.values(), [problem.images, *problem.others], problem.datum, control)
     return problem.with_blocks({**problem.blocks, **solution.blocks})
 
 

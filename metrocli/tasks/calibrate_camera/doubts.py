@@ -211,7 +211,7 @@ def why_not(
     settings: CameraSettings,
     adjusted: AdjustedImages,
     centre: PrincipalPoint | None,
-    folded: Sequence[str] = (),
+    folded: Sequence[str],
 ) -> list[str]:
     """Return the doubts about a camera; `folded` has where its lens model folds over among the readings.
 

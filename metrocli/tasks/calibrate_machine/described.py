@@ -113,23 +113,22 @@ def commanded(machine: Machine, table: Table) -> Array:
     margin = np.array([np.radians(_OUTSIDE) if axis.turns else _OUTSIDE for axis in machine.axes])
     low, high = (machine.low - margin)[:, None], (machine.high + margin)[:, None]
     outside = (position < low) | (position > high)
-    faults = [
-        table.fault_at(
-            int(row),
-            f"{axis.key} = {placed(axis, position[number, row])} is outside the range of the axis, "
-            f"{placed(axis, axis.knots[0], '')} to {placed(axis, axis.knots[-1])}",
-            _outside(axis, float(position[number, row]), table),
-        )
-        for number, row in zip(*np.nonzero(outside), strict=True)
-        for axis in [machine.axes[number]]
-    ]
-    if faults and machine.turns and _fits_otherwise(machine, table):
+    if outside.any() and machine.turns and _fits_otherwise(machine, table):
         # a fault without row and hint: a task then tries what may be wrong in the file
-        raise InputError([table.fault(f"{len(faults)} positions are outside the ranges of their axes")])
-    if faults:
-        more = [table.fault(f"and {len(faults) - 5} more such rows")] if len(faults) > 5 else []
-        raise InputError(faults[:5] + more)
+        raise InputError([table.fault(f"{outside.sum()} positions are outside the ranges of their axes")])
+    each = zip(machine.axes, position, outside, strict=True)
+    raise_if(fault for axis, own, rows in each for fault in _faults_outside(axis, own, rows, table))
     return position
+
+
+def _faults_outside(axis: Axis, position: Array, rows: Mask, table: Table) -> list[Fault]:
+    """Return faults of the rows in which an axis stands outside its range."""
+    span = f"{placed(axis, axis.knots[0], '')} to {placed(axis, axis.knots[-1])}"
+    return table.faults_at(
+        np.flatnonzero(rows),
+        lambda row: f"{axis.key} = {placed(axis, position[row])} is outside the range of the axis, {span}",
+        lambda row: _outside(axis, float(position[row]), table),
+    )
 
 
 def _fits_otherwise(machine: Machine, table: Table) -> bool:

@@ -48,7 +48,7 @@ def cures(settings: Settings) -> tuple[str, ...]:
     return (*((REMOVE,) if settings.outliers == "report" else ()), *((REPEATS,) if repeats else ()))
 
 
-def machine_warnings(solved: AdjustedMachine, settings: Settings, more: Sequence[str] = ()) -> list[str]:
+def machine_warnings(solved: AdjustedMachine, settings: Settings, more: Sequence[str]) -> list[str]:
     """Return the warnings of a calibration: readings, `more`, noise, undetermined errors, weak designs, outliers."""
     identified = solved.identified
     wording = cures(settings)

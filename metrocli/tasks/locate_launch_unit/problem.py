@@ -185,7 +185,7 @@ def without_worst_distances(
     return first
 
 
-def screened(solution: Solution, names: Sequence[str], gone: Sequence[SuspectedPose] = ()) -> Screened:
+def screened(solution: Solution, names: Sequence[str], gone: Sequence[SuspectedPose]) -> Screened:
     """Remove outliers from the named groups, the largest |w| first, until all pass the test at 5 % for all together.
 
     Each reading is tested against the noise of the others, at least the declared noise (external studentisation). A

@@ -59,7 +59,7 @@ def _as_printed(located: Located, method: str, unit: tuple[Estimate, ...], covar
         title="",
         estimates=unit,
         covariance=covariance,
-        statistics=_statistics_as_printed(located, method, beams),
+        statistics=_statistics_as_printed(method, beams),
         tables={"beams": beams, TABLE: hidden},
         notes=(*_of_air(located), *in_words(hidden)),
         shown=(ShownTable("beams"),),
@@ -125,7 +125,7 @@ def _of_air(located: Located) -> tuple[str, ...]:
     return () if located.readings.air is None else (located.readings.air.note,)
 
 
-def _statistics_as_printed(located: Located, method: str, beams: Table) -> dict[str, Scalar | dict[str, float]]:
+def _statistics_as_printed(method: str, beams: Table) -> dict[str, Scalar | dict[str, float]]:
     per_pose = 2 if method == "lines" else 3
     miss = float(np.sqrt((beams.numbers("miss") ** 2).mean()))
     return {

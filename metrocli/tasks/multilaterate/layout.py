@@ -49,8 +49,9 @@ class PlannedPoints:
         """Return point, tracer and conditions of each reading; times and temperatures follow from `pace`, if given."""
         if self.lengths is not None:
             kept = (*_KEPT, *self.lengths.further)
-            columns = {name: self.lengths.columns[name] for name in kept if name in self.lengths}
-            return replace(self.lengths, columns=columns)
+            return replace(
+                self.lengths, columns={name: self.lengths.columns[name] for name in kept if name in self.lengths}
+            )
         names, stations = self.points.texts("point"), self.tracers.texts("tracer")
         turn = np.repeat(np.arange(len(names)), len(stations)).astype(float)
         columns: dict[str, Values] = {"point": np.repeat(np.array(names), len(stations))}

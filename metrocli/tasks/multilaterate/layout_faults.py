@@ -90,7 +90,7 @@ def reasons(network: TracerNetwork, solution: Solution) -> list[str]:
             f"leave it out; what would separate it: {added.effect.reveal}"
             for added in hidden
         ]
-    causes = [*_counts(network, solution), *_shapes(network, solution)] or [*_strayed(network, solution)]
+    causes = [*_counts(network, solution), *_shapes(network)] or [*_strayed(network, solution)]
     return causes or ["the tracers see the points from too few directions; add tracers or points far from the others"]
 
 
@@ -136,7 +136,7 @@ def _three(network: TracerNetwork) -> str:
     return f"; three suffice {known}" if network.absolute and network.unknown.all() else ""
 
 
-def _shapes(network: TracerNetwork, solution: Solution) -> Iterator[str]:
+def _shapes(network: TracerNetwork) -> Iterator[str]:
     tracers, points = network.blocks[t.TRACER], network.blocks[t.POINT].values[network.seen > 0]
     if not len(points):
         return

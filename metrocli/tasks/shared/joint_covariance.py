@@ -63,7 +63,7 @@ def owed(
     delivered: Sequence[str],
     change: Array,
     inputs: Mapping[str, Group],
-    sources: Mapping[str, JointInput] | None = None,
+    sources: Mapping[str, JointInput] | None,
 ) -> tuple[dict[str, Table], dict[str, Array]]:
     """Return the table of the inputs and, for each, the factor F of what it adds to the covariance of the estimates.
 

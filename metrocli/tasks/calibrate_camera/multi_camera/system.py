@@ -77,7 +77,7 @@ class CameraSystem(Modelled):
 
 
 def system_of(
-    settings: Settings, cameras: Mapping[str, OneOfSeveral], sighted: Sighted, bars: Table | None = None
+    settings: Settings, cameras: Mapping[str, OneOfSeveral], sighted: Sighted, bars: Table | None
 ) -> CameraSystem:
     """Return the adjustment of all cameras with its starting values, from the calibration of each.
 
@@ -209,7 +209,7 @@ def _blocks(
     points = np.array([row.values for row in rows])[counts.argmax(axis=0), np.arange(counts.shape[1])]
     free = np.any([np.broadcast_to(row.free, row.values.shape) for row in rows], axis=0)
     extent = 2 * float(rows[0].reach.max())
-    views = _views(exposed, seen, held, 1 if rig == "cmm" else len(exposed.names))
+    views = _views(seen, held, 1 if rig == "cmm" else len(exposed.names))
     distance = float(np.median(np.linalg.norm(views[:, :3], axis=1)))
     name, members = camera.view_name(rig), exposed.names if rig != "cmm" else ("",)
     values = poses.inverse(views) if rig == "board" else views
@@ -221,7 +221,7 @@ def _blocks(
     }
 
 
-def _views(exposed: Exposures, seen: Sequence[CalibratedCamera], held: Array, count: int) -> Array:
+def _views(seen: Sequence[CalibratedCamera], held: Array, count: int) -> Array:
     """Return the pose of the first camera in the frame of the targets at each exposure, by the first that sees them."""
     views = np.full((count, 6), np.nan)
     for calibrated, mount in zip(seen, held, strict=True):

@@ -126,10 +126,9 @@ def _of_other_names(named: Index, at: Index, wrong: Index, names: Sequence[str],
             text = f"{pair[0]} and {pair[1]} are exchanged: the probe finds each at the listed place of the other"
             yield table.fault(text, "exchange their names in the list of the balls, or in the column `ball`")
             wrong = wrong[~both[wrong]]
-    for row in wrong[:5].tolist():
-        text = (
-            f"the probe is at {names[at[row]]}, not at {names[named[row]]}, as the machine and the listed balls have it"
-        )
-        yield table.fault_at(row, text, "is the name of the ball right?")
-    if len(wrong) > 5:
-        yield table.fault(f"and {len(wrong) - 5} more such rows")
+    have_it = "as the machine and the listed balls have it"
+    yield from table.faults_at(
+        wrong,
+        lambda row: f"the probe is at {names[at[row]]}, not at {names[named[row]]}, {have_it}",
+        lambda row: "is the name of the ball right?",
+    )

@@ -14,6 +14,7 @@ from metrocli.geometry import poses
 from metrocli.instruments.machine_path import Path
 from metrocli.instruments.track_alignment import Alignment, align
 from metrocli.table import Table
+from metrocli.words import listed
 
 _FAR = 0.02
 """Largest median misfit as a share of the extent of the points; errors of machines are far smaller"""
@@ -233,12 +234,9 @@ def _breaks(points: Array, wild: Mask, tool: Index) -> tuple[Mask, Index]:
 def _warnings_on_cuts(breaks: Index, leg: Index, along: Array, wild: Mask) -> list[str]:
     lines = []
     if len(breaks):
-        places = [f"leg {leg[k] + 1} at {max(along[k], 0.0):.0f} mm" for k in breaks[:5].tolist()]
-        more = f" and {len(breaks) - 5} more" if len(breaks) > 5 else ""
+        places = listed([f"leg {leg[k] + 1} at {max(along[k], 0.0):.0f} mm" for k in breaks.tolist()], 5)
         times = "once" if len(breaks) == 1 else f"{len(breaks)} times"
-        lines.append(
-            f"the beam broke {times}, on {', '.join(places)}{more}: points within {_SETTLE:g} mm of it are removed"
-        )
+        lines.append(f"the beam broke {times}, on {places}: points within {_SETTLE:g} mm of it are removed")
     if wild.any():
         lines.append(
             f"{int(wild.sum())} points of the track are farther from the path than a machine error can explain, and "
@@ -251,5 +249,4 @@ def _unseen(seen: Mask, path: Path) -> list[str]:
     missing = np.flatnonzero(~seen)
     if not missing.size:
         return []
-    names = ", ".join(str(i + 1) for i in missing[:8])
-    return [f"legs without points, of {len(path.lengths)}: {names}{' ...' if missing.size > 8 else ''}"]
+    return [f"legs without points, of {len(path.lengths)}: {listed([str(i + 1) for i in missing])}"]
