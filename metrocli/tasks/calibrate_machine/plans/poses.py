@@ -25,6 +25,7 @@ from metrocli.tasks.calibrate_machine.problem import MachineProblem
 from metrocli.tasks.calibrate_machine.settings import LENGTHS, PROBING, STANDSTILL, Settings
 from metrocli.tasks.calibrate_machine.volume import shares_spread
 from metrocli.tasks.shared.lists import listed_places
+from metrocli.units import roughly
 
 _FILES = {STANDSTILL: "points.csv", LENGTHS: "lengths.csv", PROBING: "probing.csv"}
 _PER_KNOT, _GROWTH, _MOST = 3, 1.4, 3000
@@ -115,7 +116,7 @@ def _enough(settings: Settings, files: Files) -> tuple[_Trial, str]:
         count = min(count * factor * (1 + (1 - _CLOSE) / 2), _MOST)
         trial = tried(count)
     lacks = trial.uncertainty > wanted.uncertainty
-    sizes = f"{trial.uncertainty * 1000:.2g} um to {wanted.uncertainty * 1000:.2g} um in the volume"
+    sizes = f"{roughly(trial.uncertainty, 'um')} to {roughly(wanted.uncertainty, 'um')} in the volume"
     return trial, _FEW.format(sizes) if lacks else ""
 
 

@@ -32,6 +32,7 @@ from metrocli.tasks.calibrate_machine.problem import ERROR_BLOCKS, MachineProble
 from metrocli.tasks.calibrate_machine.settings import Settings
 from metrocli.tasks.calibrate_machine.volume import grid_group, grid_of, without_rigid_motion
 from metrocli.tasks.shared.lists import listed_places
+from metrocli.units import roughly
 
 _TRIED = 150
 """Points for each tool with which candidates are compared"""
@@ -87,8 +88,8 @@ def plan_of_stations(settings: Settings, table: Table | None, listed: Table | No
     warnings = []
     if wanted.uncertainty is not None and choice.uncertainty > wanted.uncertainty:
         warnings.append(
-            f"the best stations leave {choice.uncertainty * 1000:.2g} um in the volume, more than "
-            f"{wanted.uncertainty * 1000:.2g} um: allow more time, or measure with less noise"
+            f"the best stations leave {roughly(choice.uncertainty, 'um')} in the volume, more than "
+            f"{roughly(wanted.uncertainty, 'um')}: allow more time, or measure with less noise"
         )
     files: dict[str, Table | str] = {
         "stations.csv": stations,
