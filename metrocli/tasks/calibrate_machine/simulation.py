@@ -26,13 +26,13 @@ from metrocli.simulation import Simulation
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine.described import commanded, machine_of
 from metrocli.tasks.calibrate_machine.files import Files
-from metrocli.tasks.calibrate_machine.methods.lengths import stop_names, visits
+from metrocli.tasks.calibrate_machine.methods.lengths import first_read, stop_names, visits
 from metrocli.tasks.calibrate_machine.methods.lines import MeasuredLines, approach, line_conditions, lines_of
 from metrocli.tasks.calibrate_machine.methods.on_the_fly import path_of
 from metrocli.tasks.calibrate_machine.methods.poses import STATIONS, around, clock, in_degrees, sides_of
 from metrocli.tasks.calibrate_machine.methods.simulated_poses import simulated_turning
-from metrocli.tasks.calibrate_machine.plans.stops import columns_of, planned_lines, tests_of_positioning
-from metrocli.tasks.calibrate_machine.problem import SIDES, since_turns, tool_column, tools_of
+from metrocli.tasks.calibrate_machine.plans.stops import columns_of, proposed_lines
+from metrocli.tasks.calibrate_machine.problem import SIDES, tool_column, tools_of
 from metrocli.tasks.calibrate_machine.settings import (
     LENGTHS,
     ON_THE_FLY,
@@ -128,7 +128,7 @@ def _stops(job: _Measurement, machine: Machine, rng: np.random.Generator) -> Flo
     if table is not None:
         given |= table.conditions("t", *SIDES)
     given = given | sides_of(SIDES, position, given["t"]) | given
-    return Flow(position, tool, given | since_turns(position, given))
+    return Flow.of(position, tool, given)
 
 
 def _lengths(job: _Measurement, truth: TrueMachine, rng: np.random.Generator) -> tuple[Table, Model]:
@@ -166,8 +166,7 @@ def _lengths(job: _Measurement, truth: TrueMachine, rng: np.random.Generator) ->
     missed = shared_at_stops(missed.T, stops, returns, rng).T if returns else missed
     deviation = (beam * missed).sum(axis=0)
     sigma = np.sqrt(noise.constant**2 + (noise.proportional * path) ** 2)
-    first = np.array([int(np.argmax(station == i)) for i in range(len(names))])
-    length = path + deviation + rng.normal(size=len(path)) * sigma - path[first][station]
+    length = path + deviation + rng.normal(size=len(path)) * sigma - first_read(path, station)
     read_as = length if air is None else length / air.towards
     return table.joined(
         {"x y z [mm]": flow.position.T, "length [mm]": read_as, **tool_column(job.settings, flow.tool)}
@@ -183,15 +182,15 @@ def _readings_of_stations(
         names = list(dict.fromkeys(table.texts("station")))
         station = np.array([names.index(name) for name in table.texts("station")])
         points = np.array(table.texts("point"), dtype=str)
-        flow = Flow(commanded(machine_of(job.settings), table), tools_of(table, job.settings), {})
         given = table.conditions(*CONDITIONS, *SIDES)
-        return names, station, replace(flow, conditions=given | since_turns(flow.position, given)), points
+        flow = Flow.of(commanded(machine_of(job.settings), table), tools_of(table, job.settings), given)
+        return names, station, flow, points
     once, n = _stops(job, machine, rng), job.simulation.points
     names = [f"S{i + 1}" for i in range(STATIONS)] if listed is None else listed.texts("station")
     order = np.tile(np.arange(n), len(names))
     position, given = once.position[:, order], clock(job.simulation, len(order))
     given |= sides_of(SIDES, position, given["t"])
-    flow = Flow(position, once.tool[order], given | since_turns(position, given))
+    flow = Flow.of(position, once.tool[order], given)
     return names, np.repeat(np.arange(len(names)), n), flow, np.array([f"P{i + 1:03d}" for i in range(n)])[order]
 
 
@@ -221,12 +220,7 @@ def _lines(job: _Measurement, truth: TrueMachine, rng: np.random.Generator) -> t
     Of a job that reads the positioning alone, five runs to and fro along each of its axes.
     """
     table, machine, alone = job.files.lines, machine_of(job.settings), job.settings.reads_positioning
-    if table is not None:
-        lines = lines_of(machine, table)
-    elif alone:
-        lines = tests_of_positioning(machine, [name[-1] for name in job.settings.estimated])
-    else:
-        lines = planned_lines(machine, job.simulation.step)
+    lines = proposed_lines(job.settings) if table is None else lines_of(machine, table)
     block = line_block(lines.names)
     block = block.with_values(rng.normal(size=block.values.shape) * _MISALIGNED)
     given = clock(job.simulation, len(lines.of)) if table is None else table.conditions("t", "temp")

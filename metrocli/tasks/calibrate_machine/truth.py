@@ -20,7 +20,7 @@ from metrocli.instruments.axes.rotary import LOCATIONS, SPINDLE_NAMES, RotaryAxi
 from metrocli.instruments.machine import SQUARENESS_NAMES, TOOL, Axis, Machine, errors_of, is_angle, squareness_block
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine.described import error_blocks, machine_of
-from metrocli.tasks.calibrate_machine.problem import conditions, model_of
+from metrocli.tasks.calibrate_machine.problem import conditions, model_of, since_turns
 from metrocli.tasks.calibrate_machine.settings import MachineSimulation, Settings
 from metrocli.tasks.calibrate_machine.tables import grown
 from metrocli.tasks.calibrate_machine.volume import grid_group, grid_of, spread_over, tips, without_rigid_motion
@@ -75,6 +75,11 @@ class Flow:
     """Names of the points, if effects may act on one of them"""
     stops: tuple[str, ...] = ()
     """Names of the stops of several lengths"""
+
+    @classmethod
+    def of(cls, position: Array, tool: Index, given: Mapping[str, Array]) -> Flow:
+        """Return positions with their conditions: those given, and the ways since the axes turned."""
+        return cls(position, tool, {**given, **since_turns(position, given)})
 
 
 def truth_of(settings: Settings, simulation: MachineSimulation, rng: np.random.Generator) -> TrueMachine:

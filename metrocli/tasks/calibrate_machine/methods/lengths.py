@@ -85,7 +85,6 @@ def lengths(settings: Settings, table: Table, files: Files = NO_FILES) -> Machin
         *stop_priors(stop_block, noise.repeatability),
         *priors_of(air),
     )
-    tools = list(settings.tools)
     return MachineProblem(
         model_of(
             unknowns,
@@ -96,7 +95,7 @@ def lengths(settings: Settings, table: Table, files: Files = NO_FILES) -> Machin
         ),
         machine,
         np.ones(len(table)),
-        measured.used(tools),
+        measured.used(list(settings.tools)),
         unused(settings.environment, table),
         notes=() if air is None else (air.note,),
         noise=noise,
@@ -128,6 +127,12 @@ def stop_names(stops: Index, points: np.typing.NDArray[np.str_], time: Array | N
         first = np.unique(stops, return_index=True)[1][int((stops == 0).any()) :]
         names += [f"{points[row]} at {time[row]:g} s" for row in first]
     return names
+
+
+def first_read(path: Array, station: Index) -> Array:
+    """Return for each path (n,) the first one of its station, from which an interferometer counts, (n,)."""
+    _, first, of = np.unique(station, return_index=True, return_inverse=True)
+    return np.asarray(path[first][of])
 
 
 def visits(position: Array, tool: Index, point: Index) -> Index:

@@ -16,7 +16,7 @@ from metrocli.table import Table
 from metrocli.tasks.calibrate_machine.described import commanded, error_blocks, machine_of
 from metrocli.tasks.calibrate_machine.files import Files
 from metrocli.tasks.calibrate_machine.methods.known_axes import with_known_axes
-from metrocli.tasks.calibrate_machine.methods.lengths import lengths
+from metrocli.tasks.calibrate_machine.methods.lengths import first_read, lengths
 from metrocli.tasks.calibrate_machine.methods.probing import probing
 from metrocli.tasks.calibrate_machine.methods.standstill import CARTESIAN, standstill
 from metrocli.tasks.calibrate_machine.methods.targets import brought_to, targets
@@ -96,11 +96,11 @@ def without_errors(settings: Settings, table: Table, files: Files, tracker: Arra
     files = replace(files, stations=stations)
     listed = stations.texts("station")
     station = matched(table, "station", listed, stations.file)
-    # an interferometer counts from its first reading, and `towards` turns its length into that of the path
     path = np.linalg.norm(places - stations.stacked("xyz")[station].T, axis=0)
-    first = np.array([int(np.argmax(station == i)) for i in range(len(listed))])
+    # `towards` turns a length into that of the path
     air = air_of(settings.environment, table, "station")
-    return table.joined({"length [mm]": (path - path[first][station]) / (1.0 if air is None else air.towards)}), files
+    length = (path - first_read(path, station)) / (1.0 if air is None else air.towards)
+    return table.joined({"length [mm]": length}), files
 
 
 def places_read(settings: Settings, table: Table, files: Files) -> Array:

@@ -31,6 +31,7 @@ from metrocli.table import Table
 from metrocli.tasks.calibrate_machine.described import commanded, machine_of
 from metrocli.tasks.calibrate_machine.files import Files
 from metrocli.tasks.calibrate_machine.methods.known_axes import known_axes
+from metrocli.tasks.calibrate_machine.methods.lengths import first_read
 from metrocli.tasks.calibrate_machine.methods.poses import (
     clock,
     in_degrees,
@@ -181,8 +182,7 @@ class _Reading:
         """Return the poses with the lengths that stations read in their air, zero at their first points."""
         problem, group = self.problem, self.problem.readings
         length, station = self.at(group.observations), group.observations.index[TRACER]
-        first = np.array([int(np.argmax(station == i)) for i in range(len(problem.blocks[TRACER].members))])
-        length -= length[:, first[station]]
+        length -= first_read(length[0], station)
         read = group.with_observations(group.observations.with_readings(length))
         sigma = group.observations.sigma if problem.noise is None else problem.noise(read, problem.blocks)
         air = air_of(self.job.settings.environment, self.table, "station")

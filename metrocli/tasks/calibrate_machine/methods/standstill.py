@@ -78,14 +78,13 @@ def standstill(settings: Settings, points: Table, files: Files = NO_FILES) -> Ma
     )
     chain = point_chain(reach(machine, on, reflectors.workpiece, poses.letters))
     readings = Group(READINGS, Chain((*chain.links, *network.links)), observations)
-    names = list(settings.tools)
     unknowns = {**blocks, **reflectors.blocks, **network.blocks, **poses.blocks}
     unknowns[TRACKER] = tracker_block(pose, max(min(settings.machine.tool_std, _VAGUE), network.std))
     return MachineProblem(
         model_of(unknowns, readings, (*reflectors.others, *network.others, *gauge(machine, unknowns))),
         machine,
         np.ones(position.shape[1]),
-        reflectors.used(names),
+        reflectors.used(list(settings.tools)),
         reflectors.read_once,
         sees_bed=machine.turns and on == BED,
     )

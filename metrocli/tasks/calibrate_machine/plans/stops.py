@@ -112,11 +112,7 @@ def plan_of_lines(settings: Settings, lines: Table | None) -> Plan:
     """
     own = [] if lines is None else judged("the lines of the job", settings, lambda: six_dof(settings, lines))
     wanted, machine = settings.plan, machine_of(settings)
-    alone = settings.reads_positioning
-    if alone:
-        given = tests_of_positioning(machine, [name[-1] for name in settings.estimated])
-    else:
-        given = planned_lines(machine, (settings.simulation or MachineSimulation()).step)
+    alone, given = settings.reads_positioning, proposed_lines(settings)
     places = {} if machine.turns else {"x y z [mm]": given.position.T}
     table = Table.of({**columns_of(machine, given), **places})
     read = table.joined(
@@ -162,6 +158,14 @@ _MOST_BEYOND = 0.1
 """The same as a share of the step at most"""
 _DECIMALS = 1
 """Of targets [mm, deg]"""
+
+
+def proposed_lines(settings: Settings) -> MeasuredLines:
+    """Return lines along axes and diagonals, or the tests of positioning where a job reads no more than that."""
+    machine = machine_of(settings)
+    if settings.reads_positioning:
+        return tests_of_positioning(machine, [name[-1] for name in settings.estimated])
+    return planned_lines(machine, (settings.simulation or MachineSimulation()).step)
 
 
 def planned_lines(machine: Machine, step: float) -> MeasuredLines:
