@@ -9,7 +9,7 @@ import numpy as np
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.robust import minimal_detectable
 from metrocli.adjust.solution import Residuals, Solution
-from metrocli.arrays import Array, Mask
+from metrocli.arrays import Array
 from metrocli.effects.estimates import estimates, free_blocks
 from metrocli.effects.estimates import tables as effect_results
 from metrocli.instruments import tracer as t
@@ -20,6 +20,7 @@ from metrocli.tasks.adjust_network.groups import BARS, GIVEN_POINTS, HEIGHTS, OF
 from metrocli.tasks.adjust_network.placed import placed_stations
 from metrocli.tasks.adjust_network.solve import AdjustedNetwork
 from metrocli.tasks.adjust_network.suspects import SuspectedReading
+from metrocli.tasks.adjust_network.unknowns import seen_points
 from metrocli.tasks.shared.joint_covariance import factors
 from metrocli.tasks.shared.lists import unless_without_noise
 from metrocli.tasks.shared.noise import JobNoise
@@ -85,7 +86,8 @@ def report(solved: AdjustedNetwork, noise: JobNoise) -> Result:
 
 def _points(solved: AdjustedNetwork, solution: Solution) -> tuple[Table, dict[str, Array]]:
     block, known = solution.blocks[t.POINT], solution.covariance_or_raise()
-    seen: Mask = np.asarray(np.isfinite(block.values).all(axis=1))
+    # a listed point that no reading concerns is no unknown: its uncertainty would be stated as 0
+    seen = seen_points(solved.network.readings)
     each = known.members(t.POINT)[seen]
     std = np.sqrt(np.maximum(np.einsum("mii->mi", each), 0.0))
     table = Table.of({"point": np.array(block.members)[seen], "x y z [mm]": block.values[seen], "sx sy sz [mm]": std})
@@ -142,10 +144,8 @@ def _rows(solved: AdjustedNetwork, group: Group, residuals: Residuals, names: Se
     quantity = np.tile(np.array(observations.components), n)
     if d > 1:  # given coordinates with a joint covariance: components are named by point and axis
         named = [text.rpartition(" ") for text in observations.components]
-        keys["point [text]"], quantity = (
-            np.array([index[0] for index in named]),
-            np.array([index[2] for index in named]),
-        )
+        keys["point [text]"] = np.array([point for point, _, _ in named])
+        quantity = np.array([axis for _, _, axis in named])
     what = {"quantity [text]": quantity, "unit [text]": (observations.unit,) * (d * n)}
     return Table.of({**keys, **what, **{name: number.T.ravel() for name, number in numbers.items()}, **times})
 
@@ -275,6 +275,9 @@ def _warnings(solved: AdjustedNetwork, solution: Solution) -> Iterator[str]:
     yield from left_out(_named(solved.rejected))
     if solved.suspects:
         yield beyond_bound(_named(solved.suspects), solved.critical)
+    block = solved.solution.blocks[t.POINT]
+    if unread := [block.members[i] for i in np.flatnonzero(~seen_points(solved.network.readings))]:
+        yield f"{counted(len(unread), 'point', 'have')} no reading, and no row in /points: {listed(unread)}"
     once = _seen_once(solved)
     if once:
         named = listed(once, _ONCE)

@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 
 from metrocli.diagnosis.adjusted_job import AdjustedJob
-from metrocli.errors import all_faults
+from metrocli.errors import InputError, all_faults
 from metrocli.plan import Plan
 from metrocli.result import Result
 from metrocli.simulation import Simulation, SimulationOptions
@@ -23,12 +23,15 @@ from metrocli.tasks.adjust_network.simulation import simulated
 from metrocli.tasks.adjust_network.solve import AdjustedNetwork, solve
 from metrocli.tasks.adjust_network.starts.agreement import NetworkStart
 from metrocli.tasks.adjust_network.starts.search import start
+from metrocli.tasks.adjust_network.unknowns import seen_points
 from metrocli.tasks.job import Job, Task
 from metrocli.tasks.shared.noise import weighed
 
 
 def _network(job: Job[Settings, Files]) -> Network:
     readings = read(job.settings, job.files)
+    if not seen_points(readings).any():
+        raise InputError("no input has a reading: give `readings`, `lengths`, `bars` or `heights`")
     return build(job.settings, readings, start(readings), job.effects)
 
 

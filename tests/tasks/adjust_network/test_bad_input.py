@@ -8,6 +8,8 @@ from typing import Any
 
 import pytest
 
+from metrocli.formats import hdf5
+
 Metrocli = Callable[..., Any]
 JOB = """\
 metrocli: 1
@@ -115,3 +117,26 @@ def test_it_is_refused_in_words(case: str, tmp_path: Path, metrocli: Metrocli) -
     assert ran.code == code, ran.err
     assert words in ran.err
     assert not (tmp_path / "result.h5").exists()
+
+
+def _of_bars(folder: Path, more: str) -> Path:
+    """A job of listed points, and of a bar between two of them if `more` names it."""
+    (folder / "stations.csv").write_text("station,instrument\nS1,LT1\n")
+    (folder / "points.csv").write_text(POINTS + "C,0,1000,0,0.1\nD,0,0,9,\n")
+    (folder / "bars.csv").write_text("bar,from,to,length_mm,sigma_mm\nL,A,B,2256.1,0.01\n")
+    job = folder / "job.yaml"
+    job.write_text(JOB.format(keys="", more=", points: points.csv" + more).replace("readings: readings.csv, ", ""))
+    return job
+
+
+def test_a_network_that_nothing_reads_is_refused(tmp_path: Path, metrocli: Metrocli) -> None:
+    ran = metrocli("adjust-network", _of_bars(tmp_path, ""))
+    assert ran.code == 3 and "no input has a reading" in ran.err, ran.err
+
+
+def test_a_listed_point_without_a_reading_has_no_uncertainty_of_0(tmp_path: Path, metrocli: Metrocli) -> None:
+    ran = metrocli("adjust-network", _of_bars(tmp_path, ", bars: bars.csv"))
+    assert ran.code == 0 and "2 points have no reading, and no row in /points: C, D" in ran.err, ran.err
+    points = hdf5.read(tmp_path / "result.h5")[0].tables["points"]
+    assert points.texts("point") == ["A", "B"]
+    assert (points.stacked(("sx", "sy", "sz")) > 0).all()
