@@ -11,7 +11,7 @@ import numpy as np
 
 from metrocli.adjust.adjustment import covariance_at
 from metrocli.adjust.solution import Solution, residuals_of
-from metrocli.arrays import Array
+from metrocli.arrays import Array, Index
 from metrocli.effects.effect import Effect
 from metrocli.effects.extension import can_act, with_conditions, with_effect
 from metrocli.effects.requested import RequestedEffect
@@ -25,6 +25,7 @@ from metrocli.tasks.adjust_network.effects import STEERING
 from metrocli.tasks.adjust_network.problem import Network
 from metrocli.tasks.adjust_network.settings import INTERFEROMETER, Files, NetworkSimulation, Settings
 from metrocli.tasks.adjust_network.simulation import designed, true_network
+from metrocli.tasks.adjust_network.unknowns import seen_points
 from metrocli.tasks.shared.tracker_effects import TRACKER_EFFECTS
 from metrocli.units import find_unit, roughly, two_digits
 
@@ -50,13 +51,13 @@ def planned(settings: Settings, files: Files, effects: tuple[RequestedEffect, ..
     network = _network(settings, files, truth, effects)
     solution = _solution(network)
     seen = tuple(_seen(network))
-    tables = {"points": _points(solution), "effects": Table.of_rows(_HEAD, [row[:-1] for row in seen])}
-    notes = [*_quality(solution), *_blind(seen)]
+    tables = {"points": _points(network, solution), "effects": Table.of_rows(_HEAD, [row[:-1] for row in seen])}
+    notes = [*_quality(network, solution), *_blind(seen)]
     if requested is not None and requested.region is not None:
         chosen, table = _further(settings, files, truth, effects)
         tables["candidates"] = table
         notes += chosen
-    return Plan(KIND.name, tuple(notes), tuple(_figures(solution)), tables, shown=(ShownTable("effects"),))
+    return Plan(KIND.name, tuple(notes), tuple(_figures(network, solution)), tables, shown=(ShownTable("effects"),))
 
 
 _HEAD = ("effect [text]", "instrument [text]", "std", "unit [text]", "usual [text]", "seen")
@@ -84,27 +85,32 @@ def _solution(network: Network) -> Solution:
     return solution
 
 
-def _points(solution: Solution) -> Table:
-    block = solution.blocks[t.POINT]
-    return Table.of(
-        {"point": np.array(block.members), "x y z [mm]": block.values, "sx sy sz [mm]": solution.std(t.POINT)}
-    )
+def _read(network: Network) -> Index:
+    """Return the numbers of the points that a reading concerns: others are no unknowns, with a variance of 0."""
+    return np.flatnonzero(seen_points(network.readings))
 
 
-def _worth(solution: Solution, aim: str) -> float:
+def _points(network: Network, solution: Solution) -> Table:
+    block, read = solution.blocks[t.POINT], _read(network)
+    places, std = block.values[read], solution.std(t.POINT)[read]
+    return Table.of({"point": np.array(block.members)[read], "x y z [mm]": places, "sx sy sz [mm]": std})
+
+
+def _worth(network: Network, solution: Solution, aim: str) -> float:
     """Return the root mean square standard uncertainty that a plan makes small: of coordinates, or of distances."""
     if aim == "pairs":
-        return _of_pairs(solution)
-    std = solution.std(t.POINT)
+        return _of_pairs(network, solution)
+    std = solution.std(t.POINT)[_read(network)]
     return float(np.sqrt((std**2).mean()))
 
 
-def _of_pairs(solution: Solution) -> float:
+def _of_pairs(network: Network, solution: Solution) -> float:
     """Return the root mean square standard uncertainty of the distances of all pairs of points."""
     block = solution.blocks[t.POINT]
     n = len(block.members)
     joint = solution.covariance_or_raise().of(t.POINT).reshape(n, 3, n, 3)
-    first, second = np.triu_indices(n, 1)
+    read = _read(network)
+    first, second = (read[ends] for ends in np.triu_indices(len(read), 1))
     away = block.values[first] - block.values[second]
     unit = away / np.linalg.norm(away, axis=1)[:, None]
     own = joint[np.arange(n), :, np.arange(n)]
@@ -113,11 +119,11 @@ def _of_pairs(solution: Solution) -> float:
     return float(np.sqrt(np.einsum("na,nab,nb->n", unit, whole, unit).mean()))
 
 
-def _quality(solution: Solution) -> Iterator[str]:
+def _quality(network: Network, solution: Solution) -> Iterator[str]:
     std = solution.std(t.POINT)
     worst = int(np.argmax(std.max(axis=1)))
     name = solution.blocks[t.POINT].members[worst]
-    typical = roughly(_worth(solution, "points"), "um")
+    typical = roughly(_worth(network, solution, "points"), "um")
     yield f"points: {typical} (standard uncertainty of a coordinate, root mean square)"
     yield f"  the least certain is {name}: {roughly(float(std[worst].max()), 'um')}"
     least = min(
@@ -163,13 +169,10 @@ def _blind(seen: tuple[tuple[object, ...], ...]) -> Iterator[str]:
         yield "  the scale of a single instrument needs a bar, given points or an interferometer"
 
 
-def _figures(solution: Solution) -> Iterator[Estimate]:
-    yield Estimate("points", 0.0, _worth(solution, "points"), "mm")
-    yield (
-        Estimate("pairs", 0.0, _of_pairs(solution), "mm")
-        if len(solution.blocks[t.POINT].members) < 500
-        else Estimate("pairs", 0.0, float("nan"), "mm")
-    )
+def _figures(network: Network, solution: Solution) -> Iterator[Estimate]:
+    yield Estimate("points", 0.0, _worth(network, solution, "points"), "mm")
+    few = len(solution.blocks[t.POINT].members) < 500
+    yield Estimate("pairs", 0.0, _of_pairs(network, solution) if few else float("nan"), "mm")
 
 
 def _further(
@@ -220,7 +223,7 @@ def _value(network: Network, aim: str) -> float:
     """Return what a plan makes small; for the instrument the mean square of its errors in their usual sizes."""
     solution = _solution(network)
     if aim != _INSTRUMENT:
-        return _worth(solution, aim)
+        return _worth(network, solution, aim)
     shares = [float(str(row[-1])) for row in _seen(network)]
     return float(np.sqrt(np.mean(np.minimum(shares, _BLIND) ** 2))) if shares else float("inf")
 

@@ -128,3 +128,17 @@ def test_errors_and_their_usual_sizes_have_one_unit(tmp_path: Path, metrocli: Me
     assert {row[0] for row in rows} == set(sized)
     std, unit = sized["tracker-vertical-index.angle"]
     assert unit == "arcsec" and std > 0.1
+
+
+def test_a_listed_point_that_is_not_read_does_not_make_the_plan_better(tmp_path: Path, metrocli: Metrocli) -> None:
+    path = job(tmp_path, readings=", readings: readings.csv")
+    rows = [f"S1,P{i:02d},0.1,0.1,5000" for i in range(len(points_of_hall()))]
+    (tmp_path / "readings.csv").write_text("\n".join(["station,point,az_rad,el_rad,d_mm", *rows]) + "\n")
+    out, listed = [], tmp_path / "points.csv"
+    for more in ("", "X,1000,2000,500\n"):
+        listed.write_text(listed.read_text() + more)
+        ran = metrocli("plan", path, "--out", tmp_path / "plan", "--force")
+        assert ran.code == 0, ran.err
+        out.append(next(line for line in ran.out.splitlines() if line.startswith("points: ")))
+        assert "X," not in (tmp_path / "plan" / "points.csv").read_text()
+    assert out[0] == out[1]
