@@ -142,8 +142,8 @@ class AdjustedJob:
     """Distance of places from where the files list them, relative to what is plausible; above 1 a file is wrong"""
     left_out: int = 0
     """Number of readings that its adjustment left out as outliers"""
-    removes: bool = False
-    """Whether the job leaves outliers out, which its diagnosis has"""
+    outliers: str = ""
+    """Whether the job reports outliers or removes those which its diagnosis has; "" where it can do neither"""
     fewest: int = 3
     """Fewest components of readings that an effect must change; what changes fewer is an outlier"""
     single_components: bool = False
