@@ -164,3 +164,17 @@ def test_an_effect_that_explains_as_much_is_no_wrong_setting(effect: str, tmp_pa
     assert [(one["name"], found["mistake"]) for one in found["effects"]] == [(effect.partition(":")[0], None)]
     metrocli("calibrate-machine", job)
     assert "with this corrected" not in " ".join(hdf5.read(job.parents[1] / "results" / "standstill.h5")[1].doubts)
+
+
+@pytest.mark.parametrize("column", ["z_mm", "mx_mm"])
+def test_one_axis_in_inches_is_named(column: str, tmp_path: Path, metrocli: Metrocli) -> None:
+    """All axes alone were tried: one had "the shape of another path"."""
+    metrocli("init", tmp_path / "p", "--sample", "machine-methods")
+    job, points = tmp_path / "p" / "jobs" / "standstill.yaml", tmp_path / "p" / "data" / "points.csv"
+    head, *rows = points.read_text().splitlines()
+    at = head.split(",").index(column)
+    cells = [row.split(",") for row in rows]
+    changed = [[*row[:at], f"{float(row[at]) / 25.4:.9f}", *row[at + 1 :]] for row in cells]
+    points.write_text("\n".join([head, *map(",".join, changed)]) + "\n")
+    found = json.loads(metrocli("diagnose", job, "--json").out)["mistake"]
+    assert (found["what"], found["alternatives"]) == (f"{column} is in inches", [])
