@@ -90,7 +90,7 @@ class Fold:
 
     def holds(self, part: Fixed) -> bool:
         """Return whether a part is the error of a held-out reading."""
-        return part.is_reading and bool(self.mask[self.measurement.rows_of(part.number)].any())
+        return part.is_reading and bool(part.columns[self.rows].any())
 
 
 @dataclass(frozen=True)
@@ -172,7 +172,7 @@ class Others:
         for part in self.fixed:
             if part.is_reading:
                 # a reading that is named wrong would be predicted badly by any model
-                spared[m.rows_of(part.number)] = True
+                spared |= part.columns.any(axis=1)
         if self.fold.whole:
             # predicted but for the local unknowns, and the errors of single members, which only these rows show
             x = self.without.shared[:, self.columns]
