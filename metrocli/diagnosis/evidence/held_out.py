@@ -145,8 +145,8 @@ class Others:
     def with_fixed(self, fixed: Sequence[Fixed]) -> Others:
         """Return them with fixed parts, of which some may not be in the state."""
         new = [part for part in fixed if all(part is not own for own in self.state.fixed)]
-        every = Others.of(self.fold, self.state.plus(new, steps=0)) if new else self
-        return every.keeping(fixed)
+        # without the others: of two jumps between the same readings, the later one would not be seen beside the first
+        return Others.of(self.fold, self.state.keeping(fixed).plus(new, steps=0)) if new else self.keeping(fixed)
 
     def keeping(self, fixed: Iterable[Fixed]) -> Others:
         """Return them with some of the fixed parts."""
