@@ -19,7 +19,7 @@ from metrocli.diagnosis.evidence.gain import FoldPrediction, Gain, gain_of
 from metrocli.diagnosis.evidence.held_out import Others
 from metrocli.diagnosis.evidence.identified import IdentifiedEffect, all_identified
 from metrocli.diagnosis.evidence.likelihood import Fit
-from metrocli.diagnosis.evidence.parts import EFFECT, Fixed, Random
+from metrocli.diagnosis.evidence.parts import EFFECT, READING, Fixed, Random
 from metrocli.diagnosis.evidence.prices import FURTHER, LEVEL, OF_ALL
 from metrocli.diagnosis.evidence.state import State
 from metrocli.frozen import dataclass
@@ -67,8 +67,14 @@ class _Nested:
         every_choice = ((name.key, self._chosen(whole, name)) for name in self.names)
         chosen = {key: choice for key, choice in every_choice if choice is not None}
         likely = {key: part for key, (part, weight) in chosen.items() if weight >= 0.5}
+        # an effect that only the held-out readings show is their error: unpredicted, it would count against the others
+        alone = [part for part in state.named if part.key not in chosen and not whole.fold.shown(part)]
+        errors = [replace(part, sort=READING) for part in alone]
+        if alone:
+            known = state.keeping([part for part in state.fixed if all(part is not own for own in alone)])
+            whole = Others.of(whole.fold, known.plus(errors, steps=0))
         # wrong readings, and what has no known cause: waves, and the terms of a law
-        beside = [part for part in state.fixed if part.sort != EFFECT]
+        beside = [*errors, *(part for part in state.fixed if part.sort != EFFECT)]
 
         def with_parts(parts: Mapping[Key, Fixed]) -> FoldPrediction:
             # two names can have the same rival

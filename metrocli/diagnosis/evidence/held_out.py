@@ -63,7 +63,7 @@ class Fold:
 
     def holds(self, part: Fixed) -> bool:
         """Return whether a part is the error of a held-out reading."""
-        return part.is_reading and bool(self.mask[self.measurement.rows_of(part.number)].any())
+        return part.is_reading and bool(part.columns[self.rows].any())
 
 
 @dataclass(frozen=True)
@@ -118,8 +118,8 @@ class Others:
     def with_fixed(self, fixed: Sequence[Fixed]) -> Others:
         """Return them with fixed parts, of which some may not be in the state."""
         new = [part for part in fixed if all(part is not own for own in self.state.fixed)]
-        every = Others.of(self.fold, self.state.plus(new, steps=0)) if new else self
-        return every.keeping(fixed)
+        # without the others: of two jumps between the same readings, the later one would not be seen beside the first
+        return Others.of(self.fold, self.state.keeping(fixed).plus(new, steps=0)) if new else self.keeping(fixed)
 
     def keeping(self, fixed: Iterable[Fixed]) -> Others:
         """Return them with some of the fixed parts."""
@@ -145,7 +145,7 @@ class Others:
         for part in self.fixed:
             if part.is_reading:
                 # a reading that is named wrong would be predicted badly by any model
-                spared[m.rows_of(part.number)] = True
+                spared |= part.columns.any(axis=1)
         if self.fold.whole:
             # predicted but for the local unknowns, and the errors of single members, which only these rows show
             shared, sizes, at = self.without.shared, self.fit.sizes, self.fit.fixed
