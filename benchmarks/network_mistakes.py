@@ -24,7 +24,7 @@ from simulated.network import Network, network, polar, sigmas
 
 from benchmarks.bars import Rate
 from metrocli.diagnosis.mistakes import without_mistakes
-from metrocli.project.diagnosed import _adjuster, _others
+from metrocli.project.adjuster import adjuster, others_of
 from metrocli.project.inputs import read_inputs
 from metrocli.project.job import load
 
@@ -197,9 +197,9 @@ MISTAKES: dict[str, Callable[[Network, Rng], Files]] = {
 def offered(files: Files, folder: Path) -> list[str]:
     """Return the corrections that `diagnose` offers, in words; the failure if the job has no solution."""
     job = load(files.write(folder))
-    held, adjust = read_inputs(job), _adjuster(job)
+    held, adjust = read_inputs(job), adjuster(job)
     try:
-        mistaken = without_mistakes(held, adjust, _others(job, held, adjust))[1]
+        mistaken = without_mistakes(held, adjust, others_of(job, held, adjust))[1]
     except Exception as error:  # what a user would see in place of a correction
         return [f"{type(error).__name__}: {str(error).splitlines()[0]}"]
     return [] if mistaken is None else [str(one) for one in mistaken.mistakes]

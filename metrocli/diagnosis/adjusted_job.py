@@ -16,6 +16,7 @@ from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Index, Mask, Observations
 from metrocli.adjust.solution import Solution
 from metrocli.effects.acting import Acting
+from metrocli.effects.correlated import NAME as CORRELATED_ERROR
 from metrocli.effects.covariates import Covariate
 from metrocli.effects.effect import Effect
 from metrocli.effects.model import Model
@@ -142,8 +143,8 @@ class AdjustedJob:
     """Distance of places from where the files list them, relative to what is plausible; above 1 a file is wrong"""
     left_out: int = 0
     """Number of readings that its adjustment left out as outliers"""
-    removes: bool = False
-    """Whether the job leaves outliers out, which its diagnosis has"""
+    outliers: str = ""
+    """Whether the job reports outliers or removes those which its diagnosis has; "" where it can do neither"""
     fewest: int = 3
     """Fewest components of readings that an effect must change; what changes fewer is an outlier"""
     single_components: bool = False
@@ -201,6 +202,11 @@ class AdjustedJob:
         names = [group.name for group in self.model.readings]
         alone = (covariate for covariate in self.covariates if not covariate.together)
         return [covariate for covariate in alone if all(name in covariate.values for name in names)]
+
+    @property
+    def has_effects(self) -> bool:
+        """Whether it requests effects beside correlated errors; the search has added those that stand."""
+        return sum(added.effect.name != CORRELATED_ERROR for added in self.model.added) > len(self.standing)
 
     @property
     def declares_noise(self) -> bool:

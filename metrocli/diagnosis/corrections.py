@@ -94,6 +94,11 @@ def _of_numbers(key: str, table: Table) -> Iterator[Correction]:
         for factor, words, write in _other_units(table, names):
             changed = _no_looser(_scaled(table, names, factor), factor)
             yield _correction(key, table, (f"{headings} {words}", write), changed, "units", factor)
+    # the scale of one axis alone may be in inches
+    for name in dict.fromkeys(name for names in _lengths(table) if names[1:] for name in names):
+        (heading,) = _headings(table, [name])
+        how = f"{heading} is in inches", f"the numbers of {heading} times {INCH:g}"
+        yield _correction(key, table, how, _scaled(table, [name], INCH), "units")
     angles = [name for name, unit in table.units.items() if unit == "rad"]
     for names in _alike_angles(angles):
         yield from _units_of_angles(key, table, names)

@@ -255,8 +255,8 @@ def _misfit(state: State, gain: Gain | None) -> float | None:
     least = np.inf
     if gain is None:
         m = state.measurement
-        stated = [added.std for added in m.job.model.added if added.effect.name == CORRELATED_ERROR]
-        if len(m.job.model.added) - len(stated) <= len(m.job.standing):
+        if not m.job.has_effects:
+            stated = [added.std for added in m.job.model.added if added.effect.name == CORRELATED_ERROR]
             if not stated or len(m.system.rows_in_units) > 1:  # errors of several units have no common size
                 return None
             least = max(stated) ** 2

@@ -236,4 +236,6 @@ class Diagnosis:
         confirmed = self.scatters or any(finding.confirmed for finding in self.findings)
         # what predicts readings worse than the job without it explains nothing, however much evidence it has
         explains = confirmed and (self.gain is None or self.gain.explains)
-        return Verdict.INDISTINCT if any(instead) or not explains else Verdict.EXPLAINED
+        # of a model that has its effects already, whatever the cause of that little is
+        little = self.job.has_effects and self.gain is not None and self.gain.explained < LITTLE
+        return Verdict.EXPLAINED if little or (explains and not any(instead)) else Verdict.INDISTINCT

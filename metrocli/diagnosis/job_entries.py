@@ -21,6 +21,8 @@ from metrocli.units import parse_quantity
 
 _MODEL = "model"
 """Key beside the declared parts of a noise"""
+REMOVE = "remove"
+"""Of `outliers` in a job that leaves them out"""
 
 
 def declares(noise: Node | None, scatter: RandomEffect) -> bool:
@@ -97,6 +99,12 @@ def proposed_noise(diagnosis: Diagnosis) -> str:
     has_sizes, ratio = bool(stated or diagnosis.scatters), diagnosis.noise.ratio
     other = job.sharing and job.declares_noise and not 1 / AS_OTHERS < ratio < AS_OTHERS
     return ESTIMATED if has_sizes and other and not diagnosis.noise.as_declared else ""
+
+
+def removes_wrong_readings(diagnosis: Diagnosis) -> bool:
+    """Whether the extended job leaves outliers out, without which its effects were found; the job itself does not."""
+    known = any(not outlier.others for outlier in diagnosis.outliers)
+    return known and diagnosis.mistaken is None and diagnosis.job.outliers not in ("", REMOVE)
 
 
 def as_job(name: IdentifiedEffect) -> Mapping[str, str]:

@@ -68,7 +68,25 @@ def with_other_setting(job: AdjustedJob, others: Others) -> Mistaken | None:
         return None
     if as_good and (as_many or ratio * _OTHER_FITS < 1):
         return None
+    if as_many and f_tail(dof, dof, _mean_square(_with_effects(job), size) / max(after, 1e-12)) > _BY_CHANCE:
+        return None
     return Mistaken((mistake,), other, float(np.sqrt(before)), float(np.sqrt(after)), job.left_out)
+
+
+def _with_effects(job: AdjustedJob) -> AdjustedJob:
+    """Return the job with the effects in its model that explain most.
+
+    A setting was written on purpose: an effect that explains as much as another one is the likelier cause.
+    """
+    # most jobs never come here, and these load much (docs/decisions/154-loaded-where-used.md)
+    from metrocli.diagnosis.evidence.identified import all_identified
+    from metrocli.diagnosis.evidence.measured_job import measurement_of
+    from metrocli.diagnosis.evidence.search import forward
+    from metrocli.diagnosis.evidence.state import State
+    from metrocli.diagnosis.extended_fit import extended_fit
+
+    state = forward(State.of(measurement_of(job, quick=True)))
+    return extended_fit(job, all_identified(state, with_rivals=False), {}) or job
 
 
 def _cannot_fit(begun: Callable[[], Model], size: Mapping[str, Array], most: float) -> bool:

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 from metrocli import tasks
 from metrocli.diagnosis.adjusted_job import AdjustedJob
-from metrocli.diagnosis.job_entries import declared_noise, key_of_model, model_of
+from metrocli.diagnosis.job_entries import REMOVE, declared_noise, key_of_model, model_of
 from metrocli.diagnosis.trials import Others
 from metrocli.effects.acting import Variable
 from metrocli.effects.own import columns
@@ -36,7 +37,7 @@ def adjuster(job: JobFile, more: Sequence[Variable] = (), adjusted: Adjuster | N
         every = (*other.effects, *job.own.effects)
         stated = task.covariates is not None
         other = replace(other, declared=declared, noise_model=model, model_key=key, states_correlated=stated)
-        return replace(other, effects=every, places=places, removes=_removes(job))
+        return replace(other, effects=every, places=places, outliers=_outliers(job))
 
     return adjust
 
@@ -44,11 +45,16 @@ def adjuster(job: JobFile, more: Sequence[Variable] = (), adjusted: Adjuster | N
 def cleared(job: JobFile, more: Sequence[Variable] = ()) -> Adjuster | None:
     """Return what adjusts a job without its outliers, if it removes them and its kind can do so for a diagnosis."""
     clears = tasks.KINDS[job.kind].task().cleared
-    return adjuster(job, more, clears) if _removes(job) and clears is not None else None
+    return adjuster(job, more, clears) if _outliers(job) == REMOVE and clears is not None else None
 
 
-def _removes(job: JobFile) -> bool:
-    return getattr(job.settings, "outliers", "") == "remove"
+def _outliers(job: JobFile) -> str:
+    """Return whether a job reports or removes outliers; "" where it cannot leave any out."""
+    settings: Any = job.settings
+    if not hasattr(settings, "outliers"):
+        return ""
+    refused = any(key == "outliers" for key, _ in replace(settings, outliers=REMOVE).faults())
+    return "" if refused else str(settings.outliers)
 
 
 def others_of(job: JobFile, inputs: Mapping[str, object], adjust: Adjuster) -> Others:

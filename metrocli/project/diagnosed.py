@@ -18,12 +18,14 @@ from metrocli.diagnosis.detectability import Detectability
 from metrocli.diagnosis.diagnose import LIMIT, Attended, diagnose, no_interrupt, what_can_be_seen
 from metrocli.diagnosis.findings import Diagnosis
 from metrocli.diagnosis.job_entries import (
+    REMOVE,
     as_job,
     correlated_as_job,
     declares,
     proposed_correlated,
     proposed_noise,
     proposed_variances,
+    removes_wrong_readings,
     scatter_as_job,
     variance_groups_as_job,
     with_declared,
@@ -258,6 +260,9 @@ def _extended(
         if key.text not in (*below, "output")
     ]
     more = [(node_of(job.root, key), items) for key, items in below.items() if items.items]
+    if removes_wrong_readings(diagnosis):
+        kept = [entry for entry in kept if entry[0].text != "outliers"]
+        kept.append((node_of(job.root, "outliers"), node_of(job.root, REMOVE)))
     written = node_of(job.root, "output"), node_of(job.root, os.path.relpath(output, folder))
     return replace(job.root, entries=(*kept, *more, written))
 

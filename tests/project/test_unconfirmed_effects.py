@@ -10,6 +10,7 @@ import pytest
 from metrocli.cli.commands import run
 from metrocli.cli.diagnosis_report.headline import summary
 from metrocli.diagnosis.findings import Verdict
+from metrocli.effects.extension import with_effect
 from metrocli.errors import UndeterminedError
 from metrocli.project import diagnosed
 from metrocli.project.diagnosed import carry_out, write_extended
@@ -29,6 +30,11 @@ def test_what_predicts_held_out_readings_worse_is_not_written(tmp_path: Path) ->
     # the density of held-out readings gains, but their errors grow by 7 %
     larger = replace(diagnosis, findings=(replace(finding, gain=replace(finding.gain, ratio=1.07)),))
     assert larger.verdict is Verdict.INDISTINCT and "explain" not in "".join(summary(larger))
+    # beside the effects of an extended job, what explains less than 5 % of its misfit is a rest, whatever its cause
+    scale = next(effect for effect in larger.job.effects if effect.name == "tracer-scale")
+    model = with_effect(larger.job.model, scale, [("LT1",)], {})
+    beside = replace(larger, job=replace(larger.job, model=model))
+    assert beside.verdict is Verdict.EXPLAINED and "jump LT2 explains little of the misfit" in "".join(summary(beside))
     assert write_extended(job, worse) is None
     written = write_extended(job, diagnosis)
     assert written is not None and "dead-path-jump" in written.path.read_text(encoding="utf-8")

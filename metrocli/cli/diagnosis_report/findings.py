@@ -9,6 +9,14 @@ import numpy as np
 from metrocli import units
 from metrocli.adjust.clusters.robust import STRUCTURED
 from metrocli.cli.columns import text_table
+from metrocli.cli.diagnosis_report.advice import (
+    DESCRIBED,
+    SHOWN,
+    extension,
+    mistake_lines,
+    shared_errors,
+    wrong_readings,
+)
 from metrocli.cli.diagnosis_report.candidates import candidate_lines, count_of_candidates
 from metrocli.cli.diagnosis_report.headline import headline, noise_lines, smooth, summary
 from metrocli.cli.diagnosis_report.laws import law_lines
@@ -18,17 +26,9 @@ from metrocli.diagnosis.evidence.gain import LEAST_CHANGE, Gain
 from metrocli.diagnosis.evidence.refined import STARTS
 from metrocli.diagnosis.extended_fit import EffectSize
 from metrocli.diagnosis.findings import Diagnosis, Finding, RandomEffect
-from metrocli.diagnosis.job_entries import proposed_correlated, proposed_noise, proposed_variances
-from metrocli.diagnosis.laws.law import Law
-from metrocli.diagnosis.trials import Mistaken
-from metrocli.diagnosis.wrong_readings import Outlier
 from metrocli.project.diagnosed import Extended
 from metrocli.words import in_a_row, listed
 
-_SHOWN = 6
-"""Most entries of a list in a line; of wrong readings four times as many have a row"""
-_DESCRIBED = 4
-"""Most effects with lines of their own; the table lists all"""
 _HEAD = ("effect", "size (± u)", "chance", "or instead", "held-out error", "log score (± std)", "changes result by")
 
 
@@ -38,7 +38,7 @@ def of_diagnosis(diagnosis: Diagnosis, extended: Extended | None, full: bool = F
     noticed = [f"noticed: {line}" for line in job.noticed]
     parts = [[f"verdict: {headline(diagnosis)}", *summary(diagnosis), *noticed]]
     if diagnosis.mistaken is not None:
-        parts.append(list(_mistake(diagnosis.mistaken)))
+        parts.append(list(mistake_lines(diagnosis.mistaken)))
     if findings or diagnosis.scatters:
         rows = [
             _row(effect, job) if isinstance(effect, Finding) else _row_of_scatter(effect, job)
@@ -47,14 +47,14 @@ def of_diagnosis(diagnosis: Diagnosis, extended: Extended | None, full: bool = F
         together = [_together(diagnosis.together, job)] if diagnosis.together is not None else []
         parts.append(text_table(_HEAD, [*rows, *together]))
     if diagnosis.outliers:
-        parts.append(list(_wrong(diagnosis.outliers, job.removes)))
+        parts.append(list(wrong_readings(diagnosis.outliers, job.outliers)))
     if not diagnosis.quick:
-        remedy = "" if extended is None else _shared(diagnosis)
+        remedy = "" if extended is None else in_a_row(shared_errors(diagnosis))
         parts.append([*_structure(diagnosis, remedy), *_processes(diagnosis, remedy), *noise_lines(diagnosis)])
     if diagnosis.laws:
         parts.append(list(law_lines(diagnosis, None if extended is None else extended.law)))
     parts += [list(_about_scatter(scatter)) for scatter in diagnosis.scatters]
-    parts += [list(_about(finding)) for finding in findings[:_DESCRIBED]]
+    parts += [list(_about(finding)) for finding in findings[:DESCRIBED]]
     if diagnosis.unconfirmed:
         lost = ", ".join(f"{rejection.name} ({rejection.against})" for rejection in diagnosis.unconfirmed)
         parts.append([f"not confirmed by held-out readings, and not in the model: {lost}"])
@@ -77,7 +77,7 @@ def of_diagnosis(diagnosis: Diagnosis, extended: Extended | None, full: bool = F
         )
     # no advice to run a job that would be refused
     if extended is not None and diagnosis.adjusts:
-        parts.append([f"next: `metrocli {job.kind} {extended.path}`, {_extension(diagnosis, extended.law)}"])
+        parts.append([f"next: `metrocli {job.kind} {extended.path}`, {extension(diagnosis, extended.law)}"])
     if diagnosis.quick:
         parts.append(["This is the first answer: what explains most. Without `--quick` the search goes on."])
     elif full:
@@ -101,28 +101,6 @@ def _of_part(part: MemberSubset) -> str:
     )
 
 
-def _extension(diagnosis: Diagnosis, law: Law | None) -> str:
-    """Return what an extended job with a law, or without, has that the job lacks."""
-    named = diagnosis.scatters or any(finding.confirmed for finding in diagnosis.findings)
-    added = [*(["the named effects"] if named else []), *(["the law"] if law is not None else [])]
-    shared = _shared(diagnosis)
-    if not added and not shared:
-        return "the job corrected as stated above, and diagnose it again"
-    if not added:
-        remains = proposed_noise(diagnosis) or proposed_correlated(diagnosis)
-        what = "include the structure left" if diagnosis.left is not None else "include the smooth error"
-        return f"the job with {shared}: its uncertainties {what if remains else 'are for the noise of each place'}"
-    shared = f" and with {shared}" if shared else ""
-    return f"the job extended by {' and '.join(added)}{shared}, and diagnose it again"
-
-
-def _shared(diagnosis: Diagnosis) -> str:
-    """Return what the extended job has for errors that readings share, and for noisier ones beside these."""
-    shared = ["`correlated:` errors"] if proposed_correlated(diagnosis) else []
-    shared += [f"`{diagnosis.job.model_key}: {noise}`"] if (noise := proposed_noise(diagnosis)) else []
-    return in_a_row([*shared, *(["`variance_groups:`"] if proposed_variances(diagnosis) else [])])
-
-
 def of_design(adjusted: AdjustedJob, design: Detectability) -> str:
     """Return the report of what a measurement can detect."""
     lines = [_of_part(adjusted.part), ""] if adjusted.part else []
@@ -138,33 +116,6 @@ def of_design(adjusted: AdjustedJob, design: Detectability) -> str:
         for pair in design.pairs
     ]
     return "\n".join([*lines, *(["", "hard to distinguish:", *alike] if alike else [])])
-
-
-def _mistake(mistaken: Mistaken) -> Iterator[str]:
-    mistakes = mistaken.mistakes
-    alike = " in one of these ways, which the readings do not distinguish" if mistakes[1:] else ""
-    what = "file" if mistakes[0].file else "file or setting"
-    yield f"A {what} of this job is wrong{alike}:"
-    yield from (f"  {mistake}" for mistake in mistakes[:_SHOWN])
-    yield f"write: {mistakes[0].write}" + (", if it is the first" if mistakes[1:] else "")
-    yield f"All that follows is for the {'corrected job' if mistaken.mended else 'job as it stands'}."
-
-
-def _wrong(outliers: tuple[Outlier, ...], removes: bool) -> Iterator[str]:
-    """Yield the table of wrong readings, each with those that are as likely to be the wrong one."""
-    shown = outliers[: _SHOWN * _DESCRIBED]
-    rows = [("/".join(outlier.keys.values()), f"{outlier.test:.1f} sigma", _others(outlier)) for outlier in shown]
-    yield from text_table(("wrong reading", "error", "or instead"), rows)
-    if len(outliers) > len(rows):
-        yield f"... {len(outliers) - len(rows)} more"
-    if all(outlier.others for outlier in outliers):
-        yield "These readings do not show which one is wrong: measure them again."
-    else:
-        yield f"`outliers: remove` leaves wrong readings out{'' if removes else '; or measure them again'}."
-
-
-def _others(outlier: Outlier) -> str:
-    return listed([*map(str, outlier.effects), *("/".join(keys.values()) for keys in outlier.others)], _SHOWN)
 
 
 def _structure(diagnosis: Diagnosis, remedy: str) -> Iterator[str]:
@@ -200,7 +151,7 @@ def _processes(diagnosis: Diagnosis, remedy: str) -> Iterator[str]:
         length = f"correlated over {100 * error.length:.2g} % of the range"
         yield f"{smooth(error)}: {size} (standard deviation, {chance}; {length})"
         if error.instead_of:
-            yield f"  Without it these would be named: {listed([str(each) for each in error.instead_of], _SHOWN)}."
+            yield f"  Without it these would be named: {listed([str(each) for each in error.instead_of], SHOWN)}."
     if diagnosis.correlated_errors:
         allowing = "the named effects and the detectable sizes" if diagnosis.findings else "the detectable sizes"
         yield f"  Chance explains it as well as any cause. It counts as noise: {allowing} allow for it."
@@ -263,7 +214,7 @@ def _row(finding: Finding, adjusted: AdjustedJob) -> tuple[str, ...]:
         str(name.alternative),
         ", ".join(map(_parameter, finding.sizes)),
         units.chance(float(np.exp(name.log_level))),
-        listed(finding.instead, _SHOWN),
+        listed(finding.instead, SHOWN),
         _reduction(gain),
         _score(gain),
         units.changed_by(finding.shift, adjusted.delivered.dimension),

@@ -11,7 +11,7 @@ from metrocli.adjust.clusters.robust import ESTIMATED, STRUCTURED
 from metrocli.diagnosis.correlated_error import CorrelatedError
 from metrocli.diagnosis.evidence.gain import LEAST_CHANGE
 from metrocli.diagnosis.evidence.prices import LEVEL
-from metrocli.diagnosis.findings import Diagnosis, Finding
+from metrocli.diagnosis.findings import Diagnosis, Finding, Verdict
 from metrocli.diagnosis.linear.projection import READING
 from metrocli.diagnosis.noise import AS_OTHERS, DECLARED_SIGMA, VarianceGroup
 from metrocli.words import in_a_row, listed
@@ -53,12 +53,12 @@ def summary(diagnosis: Diagnosis) -> Iterator[str]:
         readings = f"{out} readings" if out > 1 else "the reading"
         yield f"  without {readings} that `outliers: remove` leaves out (table rejected of the result)"
     gain = diagnosis.gain
-    if gain is None or not gain.explains:
+    if gain is None or not (gain.explains or diagnosis.verdict is Verdict.EXPLAINED):
         return
     names = [
         str(effect.effect.alternative) if isinstance(effect, Finding) else f"{effect.effect.name} everywhere"
         for effect in diagnosis.identified
-        if effect.gain.explains
+        if effect.gain.explains or not gain.explains
     ]
     explained = f"{100 * gain.explained:.0f} %" if gain.explained > LEAST_CHANGE else "little"
     verb, remains = "explain" if len(names) > 1 else "explains", ""

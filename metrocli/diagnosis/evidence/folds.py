@@ -16,10 +16,10 @@ from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Mask
 from metrocli.diagnosis.adjusted_job import Ordered
 from metrocli.diagnosis.evidence.gain import FoldPrediction, Gain, gain_of
-from metrocli.diagnosis.evidence.held_out import Others, fold_numbers
+from metrocli.diagnosis.evidence.held_out import Others
 from metrocli.diagnosis.evidence.identified import IdentifiedEffect, all_identified
 from metrocli.diagnosis.evidence.likelihood import Fit
-from metrocli.diagnosis.evidence.parts import EFFECT, Fixed, Random
+from metrocli.diagnosis.evidence.parts import EFFECT, READING, Fixed, Random
 from metrocli.diagnosis.evidence.prices import FURTHER, LEVEL, OF_ALL
 from metrocli.diagnosis.evidence.state import State
 from metrocli.frozen import dataclass
@@ -45,7 +45,7 @@ def gains(state: State, names: Sequence[IdentifiedEffect], ordered: Ordered = ma
     chosen (docs/decisions/270-effects-predict-with-their-probability.md). What is not `nested` has all effects in each
     fold, which takes a third of the time and flatters, most where readings are few.
     """
-    by_fold = [*ordered(_Nested(state, tuple(names), nested), fold_numbers(state.measurement))]
+    by_fold = [*ordered(_Nested(state, tuple(names), nested), state.measurement.fold_numbers)]
     gained = [gain_of(pairs) for pairs in zip(*by_fold, strict=True)]
     # one effect alone is all of them together
     return gained if len(names) > 1 else [*gained, *gained]
@@ -67,8 +67,14 @@ class _Nested:
         every_choice = ((name.key, self._chosen(whole, name)) for name in self.names)
         chosen = {key: choice for key, choice in every_choice if choice is not None}
         likely = {key: part for key, (part, weight) in chosen.items() if weight >= 0.5}
+        # an effect that only the held-out readings show is their error: unpredicted, it would count against the others
+        alone = [part for part in state.named if part.key not in chosen and not whole.fold.shown(part)]
+        errors = [replace(part, sort=READING) for part in alone]
+        if alone:
+            known = state.keeping([part for part in state.fixed if all(part is not own for own in alone)])
+            whole = Others.of(whole.fold, known.plus(errors, steps=0))
         # wrong readings, and what has no known cause: waves, and the terms of a law
-        beside = [part for part in state.fixed if part.sort != EFFECT]
+        beside = [*errors, *(part for part in state.fixed if part.sort != EFFECT)]
 
         def with_parts(parts: Mapping[Key, Fixed]) -> FoldPrediction:
             # two names can have the same rival
@@ -142,7 +148,7 @@ def gain_of_parts(state: State, parts: Sequence[Fixed | Random]) -> Gain:
 def gain_between(before: State, after: State) -> Gain:
     """Return the gain of one state over another, at the sizes that each has."""
     both = (
-        [Others.of_fold(state, number).predicted() for number in fold_numbers(state.measurement)]
+        [Others.of_fold(state, number).predicted() for number in state.measurement.fold_numbers]
         for state in (before, after)
     )
     return gain_of([*zip(*both, strict=True)])
@@ -196,7 +202,7 @@ def _factors(state: State) -> dict[Key, float]:
     """Return how many times the variance of the model each effect has over the units that are left out in turn."""
     own = _estimates(state.fixed, state.fit)
     squares: dict[Key, list[tuple[float, float]]] = {key: [] for key in own}
-    for number in fold_numbers(state.measurement):
+    for number in state.measurement.fold_numbers:
         others = Others.of_fold(state, number)
         # an effect that only this unit shows has no size without it
         for key, (sizes, covariance, _) in _estimates(others.kept, others.fit).items():

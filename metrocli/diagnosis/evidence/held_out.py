@@ -33,35 +33,8 @@ _MOST_HELD = 2_000_000
 """Numbers of the products without a fold that are kept"""
 _SHOWN = 1e-9
 """Share of the squares of a column below which those before it say all of it"""
-
 _HARDLY = 1e-4
 """Share of a unit column below which the other readings do not show a direction: no prediction has its uncertainty"""
-
-
-def fold_numbers(m: Measurement) -> list[int]:
-    """Return the numbers of the folds."""
-    return sorted({*folds_of(m).tolist()} - {-1})
-
-
-def folds_of(m: Measurement) -> Index:
-    """Return the number of the fold of each row, (rows,): -1 for priors but those of a random effect of a member."""
-    rows = np.full(m.system.rows, -1, dtype=np.intp)
-    for group in m.job.model.readings:
-        # counted from 1, so that 0 stays for the rows of priors
-        fold = m.system.spread(group, m.job.folds[group.name].astype(float) + 1)
-        rows = np.where(fold > 0, fold.astype(np.intp) - 1, rows)
-    member = m.system.basis.member
-    own = np.full(m.system.basis.members + 1, -1, dtype=np.intp)  # the last is that of rows without a member
-    read = (rows >= 0) & (member >= 0)
-    own[member[read]] = rows[read]
-    # a member whose readings lie in several folds belongs to none of them, since
-    # its last fold has overwritten the others
-    own[member[read][own[member[read]] != rows[read]]] = -1
-    random = {f"prior of {added.block}" for added in m.job.model.added if added.std}
-    for group in (group for group in m.job.model.groups if group.name in random):
-        at = m.system.rows_of(group)
-        rows[at] = own[member[at]]
-    return rows
 
 
 @dataclass(frozen=True)
@@ -90,7 +63,7 @@ class Fold:
 
     def holds(self, part: Fixed) -> bool:
         """Return whether a part is the error of a held-out reading."""
-        return part.is_reading and bool(self.mask[self.measurement.rows_of(part.number)].any())
+        return part.is_reading and bool(part.columns[self.rows].any())
 
 
 @dataclass(frozen=True)
@@ -135,7 +108,7 @@ class Others:
     @classmethod
     def of_fold(cls, state: State, number: int) -> Others:
         """Return them for a fold by its number, computed once for a state of few columns."""
-        fold, key = Fold(state.measurement, np.flatnonzero(folds_of(state.measurement) == number)), ("others", number)
+        fold, key = Fold(state.measurement, np.flatnonzero(state.measurement.folds == number)), ("others", number)
         others = state.cache.get(key) or cls.of(fold, state)
         if others.without.shared.size + others.fit.lower.size < _MOST_HELD:
             state.cache[key] = others
@@ -145,8 +118,8 @@ class Others:
     def with_fixed(self, fixed: Sequence[Fixed]) -> Others:
         """Return them with fixed parts, of which some may not be in the state."""
         new = [part for part in fixed if all(part is not own for own in self.state.fixed)]
-        every = Others.of(self.fold, self.state.plus(new, steps=0)) if new else self
-        return every.keeping(fixed)
+        # without the others: of two jumps between the same readings, the later one would not be seen beside the first
+        return Others.of(self.fold, self.state.keeping(fixed).plus(new, steps=0)) if new else self.keeping(fixed)
 
     def keeping(self, fixed: Iterable[Fixed]) -> Others:
         """Return them with some of the fixed parts."""
@@ -172,14 +145,16 @@ class Others:
         for part in self.fixed:
             if part.is_reading:
                 # a reading that is named wrong would be predicted badly by any model
-                spared[m.rows_of(part.number)] = True
+                spared |= part.columns.any(axis=1)
         if self.fold.whole:
             # predicted but for the local unknowns, and the errors of single members, which only these rows show
-            x = self.without.shared[:, self.columns]
-            errors = self.without.shared[:, -1] - x @ self.fit.sizes
+            shared, sizes, at = self.without.shared, self.fit.sizes, self.fit.fixed
+            # the columns before the fixed ones are all kept: they are not copied
+            first, fixed = shared[:, :at], shared[:, self.columns[at:]]
+            errors = shared[:, -1] - first @ sizes[:at] - fixed @ sizes[at:]
             shares = 1 - (basis.local[rows] ** 2).sum(axis=1)
             # three images hardly determine the lens with which a fourth is predicted
-            variances = 1 + _variances(self.fit, x)
+            variances = 1 + _variances(self.fit, first, fixed, self.cache)
         else:
             errors, shares, variances = self.without.predicted(self.fit, self.columns)
         scale, kept = np.where(m.system.in_reported_unit, m.system.scale, np.nan)[rows], ~spared[rows]
@@ -243,20 +218,27 @@ def _is_seen(fit: Fit) -> Mask:
     return np.asarray(np.diag(fit.lower) ** 2 > _SHOWN * np.diag(fit.products.gram))
 
 
-def _variances(fit: Fit, columns: Array) -> Array:
+def _variances(fit: Fit, first: Array, fixed: Array, cache: dict[object, Any]) -> Array:
     """Return the variances of rows x (n, p) of the shared columns with Gram matrix M, without what its readings miss.
 
     They are `z'M z` with `z = (M + d)^-1 x`. That of a direction of the eigenvalue l is 1/l where l is much larger than
-    d. It is nothing where l is rounding, as for the errors of a held-out image whose deviation the job states.
+    d. It is nothing where l is rounding, as for the errors of a held-out image whose deviation the job states. The rows
+    come as the columns before the fixed ones, which are the same for all fits of a fold, and the fixed ones.
     """
     from scipy.linalg.lapack import dtrtrs
 
     # those of unknowns have the length 1 over all readings, and one that these do not show is nearly 0 here
     least = _HARDLY * np.maximum(np.diag(fit.products.gram), 1.0)
     if (np.diag(fit.lower) ** 2 > least).all():
-        return np.asarray((solved(fit.lower, columns.T) ** 2).sum(axis=0))
+        at = fit.fixed
+        if "first" not in cache:
+            begun = solved(fit.lower[:at, :at], first.T)
+            cache["first"] = begun, np.einsum("pn,pn->n", begun, begun)
+        begun, squares = cache["first"]
+        rest = solved(fit.lower[at:, at:], fixed.T - fit.lower[at:, :at] @ begun)
+        return np.asarray(squares + np.einsum("pn,pn->n", rest, rest))
     lower = factored(fit.lower @ fit.lower.T, least)
-    z = np.asarray(dtrtrs(lower.T, solved(lower, columns.T))[0])
+    z = np.asarray(dtrtrs(lower.T, solved(lower, np.hstack([first, fixed]).T))[0])
     return np.asarray(((fit.lower.T @ z) ** 2).sum(axis=0))
 
 

@@ -94,6 +94,32 @@ class Measurement:
         return factors
 
     @cached_property
+    def folds(self) -> Index:
+        """The number of the fold of each row, (rows,): -1 for priors but those of a random effect of a member."""
+        system, basis = self.system, self.system.basis
+        rows = np.full(system.rows, -1, dtype=np.intp)
+        for group in self.job.model.readings:
+            # counted from 1, so that 0 stays for the rows of priors
+            fold = system.spread(group, self.job.folds[group.name].astype(float) + 1)
+            rows = np.where(fold > 0, fold.astype(np.intp) - 1, rows)
+        own = np.full(basis.members + 1, -1, dtype=np.intp)  # the last is that of rows without a member
+        read = (rows >= 0) & (basis.member >= 0)
+        own[basis.member[read]] = rows[read]
+        # a member whose readings lie in several folds belongs to none of them, since
+        # its last fold has overwritten the others
+        own[basis.member[read][own[basis.member[read]] != rows[read]]] = -1
+        random = {f"prior of {added.block}" for added in self.job.model.added if added.std}
+        for group in (group for group in self.job.model.groups if group.name in random):
+            at = system.rows_of(group)
+            rows[at] = own[basis.member[at]]
+        return rows
+
+    @property
+    def fold_numbers(self) -> list[int]:
+        """The numbers of the folds."""
+        return sorted({*self.folds.tolist()} - {-1})
+
+    @cached_property
     def rows_of_members(self) -> list[Index]:
         """Rows of each local member."""
         member, members = self.system.basis.member, self.system.basis.members

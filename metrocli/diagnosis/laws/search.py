@@ -15,7 +15,7 @@ from metrocli.adjust.model.observations import Index
 from metrocli.adjust.robust import SAME
 from metrocli.diagnosis.adjusted_job import Ordered
 from metrocli.diagnosis.evidence.gain import FoldPrediction, Gain, gain_of
-from metrocli.diagnosis.evidence.held_out import Others, fold_numbers
+from metrocli.diagnosis.evidence.held_out import Others
 from metrocli.diagnosis.evidence.parts import Fixed
 from metrocli.diagnosis.evidence.prices import ALIKE, Prices
 from metrocli.diagnosis.evidence.search import without_weak_fixed
@@ -128,7 +128,7 @@ def _bases(plain: State) -> Iterator[State]:
 
 def _gains(lawful: Lawful, start: Lawful, ordered: Ordered) -> list[Gain]:
     """Return the held-out gain of the laws of 1, 2, ... terms; each fold has the laws that the others choose."""
-    pairs = [*ordered(_Folds(lawful, _rivals(start)), fold_numbers(start.state.measurement))]
+    pairs = [*ordered(_Folds(lawful, _rivals(start)), start.state.measurement.fold_numbers)]
     return [gain_of(predictions) for predictions in zip(*pairs, strict=True)]
 
 

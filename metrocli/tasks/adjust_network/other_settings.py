@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from itertools import combinations
+from itertools import combinations, product
 
 import numpy as np
 
@@ -78,11 +78,12 @@ def _angles(job: Job[Settings, Files]) -> Iterator[_Other]:
     """Yield angles in gon, clockwise azimuths, and zenith distances for elevations."""
     table = job.files.sightings
     angles = [name for name in _ANGLES if name in table]
-    for symbol, factor in (("gon", _GON), ("deg", 1 / _GON)):
-        if all(table.headings.get(name, f"{name}_deg").endswith("gon") == (symbol == "deg") for name in angles):
-            words = f"{' and '.join(angles)} are in {symbol}"
-            write = f"{' and '.join(f'{name}_{symbol}' for name in angles)} in the heading"
-            changed = {name: table.numbers(name) * factor for name in angles}
+    each = ([name] for name in angles if angles[1:])
+    for names, (symbol, factor) in product((angles, *each), (("gon", _GON), ("deg", 1 / _GON))):
+        if all(table.headings.get(name, f"{name}_deg").endswith("gon") == (symbol == "deg") for name in names):
+            words = f"{in_a_row(names)} are in {symbol}" if names[1:] else f"{names[0]} is in {symbol}"
+            write = f"{in_a_row([f'{name}_{symbol}' for name in names])} in the heading"
+            changed = {name: table.numbers(name) * factor for name in names}
             yield _with(job, Mistake("readings", words, write, file=table.file, sort="angles", columns=0), changed)
     for name, other, words, sort in _PAIRS:
         if name in table:
@@ -140,9 +141,10 @@ def _exchanged(job: Job[Settings, Files], readings: NetworkReadings, rough: Netw
     middle = medians(places, seen.point[rows], count)
     for first, second in _pairs(readings.points.listed, middle):
         pair = names[first], names[second]
-        words = f"{pair[0]} and {pair[1]} are exchanged"
-        mistake = _exchange("points", words, f"{pair[1]} for {pair[0]}, and the reverse", table)
-        yield mistake, job.with_files(points=_swapped(table, pair))
+        yield _exchange("points", *_in_words(*pair), table), job.with_files(points=_swapped(table, pair))
+        # the list is right where lengths, bars or heights, which name points too, agree with it
+        mistake = _exchange("readings", *_in_words(*pair), seen.table)
+        yield mistake, job.with_files(readings=_swapped(seen.table, pair))
 
 
 def _renamed_rows(point: Index, rows: Index, places: Array, middle: Array) -> dict[tuple[int, int], list[int]]:
@@ -160,6 +162,11 @@ def _renamed_rows(point: Index, rows: Index, places: Array, middle: Array) -> di
 
 def _exchange(key: str, words: str, write: str, table: Table) -> Mistake:
     return Mistake(key, words, write, file=table.file, sort="exchanged", columns=0)
+
+
+def _in_words(first: str, second: str) -> tuple[str, str]:
+    """Return that two names are exchanged, and what to write."""
+    return f"{first} and {second} are exchanged", f"{second} for {first} and {first} for {second}"
 
 
 def _faces(job: Job[Settings, Files], readings: NetworkReadings) -> Iterator[_Other]:
@@ -229,10 +236,8 @@ def _stations(job: Job[Settings, Files], readings: NetworkReadings) -> Iterator[
     feet = rough.poses[:, :3] * [1.0, 1.0, 0.0]
     for first, second in _pairs(feet, marks * [1.0, 1.0, 0.0]):
         names = stations.names[first], stations.names[second]
-        words = f"{names[0]} and {names[1]} are exchanged"
-        write = f"{names[1]} for {names[0]} and {names[0]} for {names[1]}"
-        mistake = _exchange("stations", words, write, table)
-        yield mistake, job.with_files(stations=_swapped(table, names, column="station"))
+        changed = _swapped(table, names, column="station")
+        yield _exchange("stations", *_in_words(*names), table), job.with_files(stations=changed)
 
 
 def _pairs(own: Array, middle: Array) -> Iterator[tuple[int, int]]:
@@ -265,19 +270,14 @@ def _heights(job: Job[Settings, Files], readings: NetworkReadings, rough: Networ
     size = np.abs(heights.values)
     wrong = np.flatnonzero((np.abs(heights.values + rise) < _CLOSE * size) & (np.abs(heights.values - rise) > size))
     if len(wrong) == len(rise):
-        mistake = Mistake(
-            "heights", "dh has the wrong sign", "to for from and from for to in the heading", sort="heights", columns=0
-        )
-        yield mistake, _turned(job, table, wrong)
+        write = "to for from and from for to in the heading"
+        yield Mistake("heights", "dh has the wrong sign", write, sort="heights", columns=0), _turned(job, table, wrong)
         return
     for row in wrong[:_MOST].tolist():
         names = f"{table.texts('from')[row]} to {table.texts('to')[row]}"
         line = f", line {table.lines[row]}" if table.lines else ""
-        mistake = Mistake(
-            "heights", f"the height difference from {names} has the wrong sign{line}", "it with the other sign",
-            file=table.file, sort="heights",
-        )  # fmt: skip
-        yield mistake, _turned(job, table, np.array([row]))
+        words, write = f"the height difference from {names} has the wrong sign{line}", "it with the other sign"
+        yield Mistake("heights", words, write, file=table.file, sort="heights"), _turned(job, table, np.array([row]))
 
 
 def _turned(job: Job[Settings, Files], table: Table, rows: Index) -> Job[Settings, Files]:

@@ -36,7 +36,10 @@ def _network(job: Job[Settings, Files]) -> Network:
 
 
 def _solved(job: Job[Settings, Files], remove: bool) -> tuple[AdjustedNetwork, float]:
-    return weighed(job.settings.noise, _network(job), lambda network: solve(job.settings, network, remove))
+    """Return the solved network, without outliers or with all readings, in the noise of those that the job keeps."""
+    settings, removes = job.settings, job.settings.outliers == "remove"
+    kept = None if remove == removes else partial(solve, settings, remove=removes)
+    return weighed(settings.noise, _network(job), partial(solve, settings, remove=remove), kept)
 
 
 def run(job: Job[Settings, Files]) -> Result:

@@ -36,6 +36,7 @@ from metrocli.tasks.shared.images.adjustment import (
     must_converge,
     must_fit,
 )
+from metrocli.tasks.shared.images.covariates import with_all_readings
 from metrocli.tasks.shared.images.places import not_sought
 from metrocli.tasks.shared.images.settings import ESTIMATE
 from metrocli.tasks.shared.images.sightings import Needs, sightings
@@ -66,9 +67,10 @@ def run(job: Job[Settings, Files]) -> Result:
 
 def diagnosed(job: Job[Settings, Files]) -> AdjustedJob:
     """Return the adjusted job for `diagnose`, with all its readings, outliers included; raises as `run` does."""
-    problem = prepared(job)
-    whole = adjusted_job(problem, solved(replace(job.settings, outliers="report"), problem))
-    return replace(whole, not_sought={**not_sought(job.settings.shutter, whole.model), **whole.not_sought})
+    problem, settings = prepared(job), job.settings
+    adjusted = with_all_readings(settings.outliers, lambda how: solved(replace(settings, outliers=how), problem))
+    whole = adjusted_job(problem, adjusted)
+    return replace(whole, not_sought={**not_sought(settings.shutter, whole.model), **whole.not_sought})
 
 
 def prepared(job: Job[Settings, Files]) -> AlignmentProblem:

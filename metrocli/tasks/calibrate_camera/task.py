@@ -44,6 +44,7 @@ from metrocli.tasks.shared.images.adjustment import (
     must_converge,
 )
 from metrocli.tasks.shared.images.camera_parameters import delivered
+from metrocli.tasks.shared.images.covariates import with_all_readings
 from metrocli.tasks.shared.images.places import not_sought
 from metrocli.tasks.shared.images.settings import SPLINE
 from metrocli.tasks.shared.images.tables import root_mean_square
@@ -76,7 +77,7 @@ def diagnosed(job: Job[Settings, Files]) -> AdjustedJob:
     if job.settings.cameras is not None:
         return multi_camera.diagnosed(job, job.settings.cameras)
     settings, problem = prepared(job)
-    adjusted = solved(replace(settings, outliers="report"), problem)
+    adjusted = with_all_readings(settings.outliers, lambda how: solved(replace(settings, outliers=how), problem))
     whole = adjusted_job(problem, adjusted)
     lost = not_found(problem, adjusted.group, adjusted.group.residuals(adjusted.solution.blocks))
     noticed = (*turned.seen_from_behind(problem), *lost)

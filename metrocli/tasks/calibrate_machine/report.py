@@ -71,7 +71,7 @@ def report(solved: AdjustedMachine, settings: Settings, noise: JobNoise, listed:
     hidden = uncontrolled(solved, tables, settings)
     where = mount(solved.problem.machine, solution)
     known = [name for name in _wanted(identified) if identified.status[name] != Determination.UNDETERMINED]
-    turning, along = rotary_motion(tables, known), paths(tables, solved, settings, listed)
+    turning, along = rotary_motion(tables, known), paths(tables, solved, settings, noise.factor, listed)
     volume = {}
     alone = solved.problem.positioning_alone
     if not alone:

@@ -103,7 +103,7 @@ def solve(problem: MachineProblem, remove: bool) -> AdjustedMachine:
             solved = begun.solved()
         except NoSolutionError as error:
             raise _contradicted(begun, error) from error
-    must_be_decided(solved.second)
+    must_be_decided(solved.second, solved.solution.sigma0)
     return solved
 
 

@@ -10,7 +10,8 @@ from metrocli.arrays import Array
 from metrocli.frozen import dataclass
 from metrocli.instruments.machine import TOOL, Machine
 from metrocli.table import Table
-from metrocli.tasks.calibrate_machine.acceptance.contours import circular, diagonals, draws
+from metrocli.tasks.calibrate_machine.acceptance.contours import circular, diagonals
+from metrocli.tasks.calibrate_machine.acceptance.ranges import draws
 from metrocli.tasks.calibrate_machine.machine_settings import VolumeGrid
 from metrocli.tasks.calibrate_machine.rank.identifiability import Identifiability
 from metrocli.tasks.calibrate_machine.tables import Tables

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -34,8 +35,9 @@ def run(job: Job[Settings, Files]) -> Result:
 
 def _located(job: Job[Settings, Files], how: How) -> tuple[Located, float]:
     """Return the located unit, and how many times the declared noise its readings have."""
-    readings, noise = read(job.files.poses, job.settings.environment), job.settings.noise
-    return weighed(noise.model, noise, lambda noise: locate(readings, noise, how))
+    readings, noise, own = read(job.files.poses, job.settings.environment), job.settings.noise, _how(job)
+    kept = None if how.remove == own.remove else partial(locate, readings, how=own)
+    return weighed(noise.model, noise, partial(locate, readings, how=how), kept)
 
 
 def diagnosed(job: Job[Settings, Files]) -> AdjustedJob:

@@ -160,7 +160,7 @@ def _solved(network: TracerNetwork, remove: bool, tested: bool, always: bool = F
     used, solved = in_rounds(begun, lambda used: _adjusted(network, used.state, used.out), fewer)
     better = [mirrored for mirrored in solved.second if mirrored.better and not mirrored.decided]
     solved = _adjusted(network, at_others(solved.solution.blocks, better), used.out) if better else solved
-    must_be_decided(solved.second)
+    must_be_decided(solved.second, solved.solution.sigma0)
     return solved
 
 

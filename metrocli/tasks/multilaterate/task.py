@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -89,7 +90,8 @@ def cleared(job: Job[Settings, Files]) -> AdjustedJob:
 def _diagnosed(job: Job[Settings, Files], solves: Callable[[TracerNetwork], AdjustedTracers]) -> AdjustedJob:
     def weighted(files: Files) -> tuple[AdjustedTracers, float]:
         network = build(job.settings, files).with_effects(job.effects)
-        return weighed(job.settings.noise.model, network, solves)
+        kept = partial(solve, remove=True) if job.settings.outliers == "remove" else None
+        return weighed(job.settings.noise.model, network, solves, kept)
 
     solved, _ = naming_wrong_lengths(job.settings, job.files, weighted)
     adjusted = adjusted_job(solved)

@@ -161,8 +161,8 @@ def _spread(solution: Solution, observations: Observations) -> Array | float:
     return np.asarray(np.sqrt((solution.std(t.POINT) ** 2).mean(axis=1))[observations.index[t.POINT]])
 
 
-def must_be_decided(places: Sequence[Mirrored]) -> None:
-    """Raise UndeterminedError if a place and its mirror image fit equally well, and no list decides for the first."""
+def must_be_decided(places: Sequence[Mirrored], sigma0: float) -> None:
+    """Raise UndeterminedError, with the misfit, if a place and its mirror image fit alike, and no list decides."""
     if undecided := [place for place in places if not place.decided]:
         noun, other = undecided[0].noun, _OTHERS.get(undecided[0].noun, "points")
         raise UndeterminedError(
@@ -170,7 +170,7 @@ def must_be_decided(places: Sequence[Mirrored]) -> None:
             + "\n".join(f"  {place.words}" for place in undecided[:3])
             + f"\n  what decides: a place in `inputs: {noun}s` that is near one of them, or lengths to {other} away "
             "from that plane",
-            0.0,
+            sigma0,
         )
 
 

@@ -61,10 +61,11 @@ def model_setting() -> str:
     return chosen
 
 
-def weighed(model: str, problem: P, solve: Callable[[P], S]) -> tuple[S, float]:
+def weighed(model: str, problem: P, solve: Callable[[P], S], kept: Callable[[P], S] | None = None) -> tuple[S, float]:
     """Return the solution of a problem, and how many times the declared noise its readings have; 1 if it is declared.
 
-    Raises UndeterminedError without degrees of freedom.
+    `kept` solves it without outliers, where the noise is that of the readings left. Raises UndeterminedError without
+    degrees of freedom.
     """
     if model == DECLARED:
         return solve(problem), 1.0
@@ -75,8 +76,9 @@ def weighed(model: str, problem: P, solve: Callable[[P], S]) -> tuple[S, float]:
             return state, False
         return (state[0].with_noise_times(change), state[1] * change), True
 
-    (_, factor), solved = in_rounds((problem, 1.0), lambda state: solve(state[0]), scaled, _ROUNDS)
-    return solved, factor
+    solves = kept or solve
+    (weighted, factor), solved = in_rounds((problem, 1.0), lambda state: solves(state[0]), scaled, _ROUNDS)
+    return (solved if kept is None else solve(weighted)), factor
 
 
 def in_blocks(order: Array) -> Index:

@@ -13,7 +13,7 @@ import pytest
 from benchmarks.hidden import images, lengths
 from benchmarks.hidden.scenes import board_scene
 from metrocli.diagnosis.evidence.gain import FoldPrediction, gain_of
-from metrocli.diagnosis.evidence.held_out import Fold, Others, folds_of
+from metrocli.diagnosis.evidence.held_out import Fold, Others
 from metrocli.diagnosis.evidence.measured_job import measurement_of
 from metrocli.diagnosis.evidence.measurement import Measurement
 from metrocli.diagnosis.evidence.parts import Fixed, Random
@@ -190,7 +190,7 @@ def test_a_refined_value_is_known_without_the_weights_too() -> None:
 @pytest.mark.parametrize("kind", [BOARD, NETWORK])
 def test_held_out_readings_have_the_density_of_the_others(kind: str) -> None:
     m, (fixed, random, logs) = measurement(kind), parts(kind)
-    rows = np.flatnonzero(folds_of(m) == 1)
+    rows = np.flatnonzero(m.folds == 1)
     fold = Fold(m, rows)
     names = tuple(one for one in fixed if not one.is_reading)
     held = Others.of(fold, State.of(m, names, random, logs, 0)).predicted()

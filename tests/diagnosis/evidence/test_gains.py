@@ -107,3 +107,13 @@ def test_terms_of_laws_have_keys_of_their_own() -> None:
     m = beside_waves(0.0).measurement
     effect, term = m.effect(0, 0), m.term(m.whole(0, 1), (0, 0), 1.0)
     assert effect.key != term.key
+
+
+def test_a_part_is_seen_in_place_of_one_with_the_same_columns() -> None:
+    """Jumps between the same two readings are one: the first had hidden the other, and jumps gained exactly nothing."""
+    m, rng = measurement(NETWORK), np.random.default_rng(13)
+    part = m.effect(number_of_effect(m, "refraction-drift"), 0)
+    state = State.of(with_residual(m, rng.normal(size=m.system.rows) + 20.0 * part.columns[:, 0]), [part])
+    others, alike = Others.of_fold(state, 0), replace(part, number=part.number)
+    assert others.with_fixed([alike]).kept == (alike,)
+    assert others.with_fixed([alike]).predicted().score == pytest.approx(others.predicted().score)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -72,7 +73,20 @@ def test_what_no_other_reading_shows_is_no_uncertainty_of_a_prediction() -> None
         gram, none = (vectors * values) @ vectors.T, np.full(8, -1)
         products = Products(gram, np.zeros(8), 1.0, 20.0, 8, none, none[:0], np.zeros((0, 0, 0)), np.zeros((0, 0, 9)))
         shown = (rows @ vectors)[:, 2:] ** 2 @ (1 / values[2:])
-        np.testing.assert_allclose(_variances(fit_at(products, np.zeros(0)), rows), shown, rtol=1e-2)
+        np.testing.assert_allclose(_variances(fit_at(products, np.zeros(0)), rows, rows[:, 8:], {}), shown, rtol=1e-2)
+
+
+def test_fits_of_a_fold_share_what_their_first_columns_give() -> None:
+    """With two fixed columns and with one of them, the variances are those of dense matrices."""
+    rng = np.random.default_rng(7)
+    columns, rows, none, cache = rng.normal(size=(30, 8)), rng.normal(size=(4, 8)), np.full(8, -1), dict[object, Any]()
+    parts = (("unknowns", 6), ("a", 1), ("b", 1))
+    empty = np.zeros((0, 0, 0)), np.zeros((0, 0, 9))
+    products = Products(columns.T @ columns, np.zeros(8), 1.0, 20.0, 6, none, none[:0], *empty, parts)
+    fit = fit_at(products, np.zeros(0))
+    for of, at in ((fit, [0, 1, 2, 3, 4, 5, 6, 7]), (fit.keeping([1], 2), [0, 1, 2, 3, 4, 5, 7])):
+        dense = np.einsum("np,pq,nq->n", rows[:, at], np.linalg.inv(products.gram[np.ix_(at, at)]), rows[:, at])
+        np.testing.assert_allclose(_variances(of, rows[:, :6], rows[:, at[6:]], cache), dense, rtol=1e-9)
 
 
 def test_a_term_of_a_lens_is_chosen_anew_about_another_solution(tmp_path: Path) -> None:

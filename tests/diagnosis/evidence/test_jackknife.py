@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from metrocli.diagnosis.evidence.folds import least_sure, with_jackknife
-from metrocli.diagnosis.evidence.held_out import folds_of
 from metrocli.diagnosis.evidence.identified import all_identified
 from metrocli.diagnosis.evidence.parts import READINGS
 from metrocli.diagnosis.evidence.state import State
@@ -29,7 +28,7 @@ def test_the_factor_is_that_of_solutions_without_each_unit(kind: str) -> None:
     m, (fixed, random, logs) = measurement(kind), parts(kind)
     effect = fixed[1]
     # sizes that differ between the held-out parts, so that the factor is not held at 1
-    folds = folds_of(m)
+    folds = m.folds
     mixed = rng.normal(size=m.system.rows) + effect.columns @ (60 * rng.normal(size=effect.rank)) * np.cos(folds * 2.0)
     m = with_residual(m, mixed)
     state = State.of(m, [effect], random, logs, 0)
@@ -60,7 +59,7 @@ def test_what_differs_between_images_is_in_the_uncertainty() -> None:
     rng = np.random.default_rng(21)
     m = measurement(BOARD)
     effect = m.effect(number_of_effect(m, "axis-skew"), 0)
-    images = folds_of(m)
+    images = m.folds
     sizes, white, stated = [], [], []
     for _ in range(150):
         # each image has a skew of its own, in a model that has one for all of them: ten times what the noise gives
@@ -82,7 +81,7 @@ def test_a_size_that_hinges_on_images_stays_only_if_held_out_readings_show_it() 
     rng = np.random.default_rng(23)
     m = measurement(BOARD)
     effect = m.effect(number_of_effect(m, "axis-skew"), 0)
-    images = folds_of(m)
+    images = m.folds
     alike = 30 * np.ones(images.max() + 1)
     for own, sure in ((alike, True), (np.where(np.arange(len(alike)) % 2, 3, -1) * alike / 6, False)):
         drawn = with_residual(m, rng.normal(size=m.system.rows) + effect.columns[:, 0] * own[images])

@@ -327,3 +327,46 @@ def test_where_set_ups_differ_in_shape_only_their_readings_are_tried(
     ran = metrocli("adjust-network", replace(net, point=point).write(tmp_path))
     assert ran.code == 5 and "set-ups contradict each other" in ran.err, ran.err
     assert set(tried) == {"readings"}
+
+
+def test_one_angle_of_all_stations_in_gon_is_proposed(tmp_path: Path) -> None:
+    """Both together alone were tried."""
+    net = network(np.random.default_rng(71), 3, 14)
+    seen = np.column_stack([np.degrees(net.seen[:, 0]) / 0.9, net.seen[:, 1:]])
+    job = content(load(replace(net, seen=seen).write(tmp_path, header="az_deg,el_rad,d_mm")))
+    assert "az is in gon" in [mistake.words for mistake, _ in other_settings(job, False)]
+
+
+def test_an_instrument_at_most_stations_that_sees_the_points_mirrored_is_proposed(tmp_path: Path) -> None:
+    """Only the stations of the minority were, with which the list of points then stands mirrored."""
+    net = flipped(network(np.random.default_rng(72), 5, 14), [0, 1, 2], 0)
+    job, stations = net.write(tmp_path), tmp_path / "stations.csv"
+    stations.write_text(stations.read_text().replace("S4,A", "S4,B").replace("S5,A", "S5,B"))
+    first = next(line for line in job.read_text().splitlines() if line.startswith("  A: "))
+    job.write_text(job.read_text().replace(first, f"{first}\n{first.replace('A:', 'B:')}"))
+    found = [mistake.words for mistake, _ in other_settings(content(load(job)), False)]
+    assert "az of S1, S2 and S3 counts the other way" in found
+
+
+@pytest.mark.parametrize("mixed", [pytest.param(True, marks=pytest.mark.slow), False])
+def test_points_exchanged_in_all_sightings_are_named_where_others_name_points_too(
+    mixed: bool, tmp_path: Path, metrocli: Metrocli
+) -> None:
+    """A bar was wrong by its length, beside three wrong readings; without others the list is as likely."""
+    net = network(np.random.default_rng(74), 3, 11, mixed=mixed)
+    point = np.where(net.point == 2, 9, np.where(net.point == 9, 2, net.point))
+    found = json.loads(metrocli("diagnose", replace(net, point=point).write(tmp_path), "--json").out)["mistake"]
+    assert found["what"] == "P003 and P010 are exchanged"
+    files = [found["file"], *(one["file"] for one in found["alternatives"])]
+    assert files == (["readings"] if mixed else ["points", "readings"])
+
+
+def test_exchanged_points_are_found_where_a_mirror_image_is_as_far_off(tmp_path: Path, metrocli: Metrocli) -> None:
+    """The interferometer had "two places that fit alike": none of them fitted."""
+    rng = np.random.default_rng(75)
+    net = network(rng, 3, 16, faces=2, mixed=True)
+    net = replace(net, given=(), tracers=net.tracers[:1], lengths=net.lengths[:1])
+    point, here = net.point.copy(), net.station == 1
+    point[here & (net.point == 3)], point[here & (net.point == 9)] = 9, 3
+    found = json.loads(metrocli("diagnose", replace(net, point=point).write(tmp_path), "--json").out)
+    assert found["mistake"]["what"] == "P004 and P010 are exchanged at station S2"

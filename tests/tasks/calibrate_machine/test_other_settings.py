@@ -151,3 +151,30 @@ def test_the_positions_of_one_station_in_another_unit_are_named(
     path.write_text("\n".join(text) + "\n")
     ran = metrocli("calibrate-machine", job)
     assert ran.code == 3 and f"x_mm, y_mm and z_mm of station S2 are in {unit}: with this corrected" in ran.err, ran.err
+
+
+@pytest.mark.parametrize("effect", ["load-sag:pair=xz,c=2e-6 1/mm", "tracker-transit-tilt:angle=0.5 mrad"])
+def test_an_effect_that_explains_as_much_is_no_wrong_setting(effect: str, tmp_path: Path, metrocli: Metrocli) -> None:
+    """It was "mistaken": another order of the axes, or other tools, which the readings fitted half as badly."""
+    metrocli("init", tmp_path / "p", "--sample", "machine-methods")
+    job = tmp_path / "p" / "jobs" / "standstill.yaml"
+    metrocli("simulate", job, "--out", tmp_path / "new", "--effect", effect)
+    (tmp_path / "new" / "points.csv").replace(tmp_path / "p" / "data" / "points.csv")
+    found = json.loads(metrocli("diagnose", job, "--json").out)
+    assert [(one["name"], found["mistake"]) for one in found["effects"]] == [(effect.partition(":")[0], None)]
+    metrocli("calibrate-machine", job)
+    assert "with this corrected" not in " ".join(hdf5.read(job.parents[1] / "results" / "standstill.h5")[1].doubts)
+
+
+@pytest.mark.parametrize("column", ["z_mm", "mx_mm"])
+def test_one_axis_in_inches_is_named(column: str, tmp_path: Path, metrocli: Metrocli) -> None:
+    """All axes alone were tried: one had "the shape of another path"."""
+    metrocli("init", tmp_path / "p", "--sample", "machine-methods")
+    job, points = tmp_path / "p" / "jobs" / "standstill.yaml", tmp_path / "p" / "data" / "points.csv"
+    head, *rows = points.read_text().splitlines()
+    at = head.split(",").index(column)
+    cells = [row.split(",") for row in rows]
+    changed = [[*row[:at], f"{float(row[at]) / 25.4:.9f}", *row[at + 1 :]] for row in cells]
+    points.write_text("\n".join([head, *map(",".join, changed)]) + "\n")
+    found = json.loads(metrocli("diagnose", job, "--json").out)["mistake"]
+    assert (found["what"], found["alternatives"]) == (f"{column} is in inches", [])

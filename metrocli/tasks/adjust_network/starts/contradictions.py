@@ -170,5 +170,5 @@ def decided_places(network: Network, solution: Solution) -> tuple[Mirrored, ...]
             alone[other.observations.index[t.POINT]] = False
     if alone.any():
         places += mirrored(of_points(solution, group, points.listed).selected(alone), noise)
-    must_be_decided(places)
+    must_be_decided(places, solution.sigma0)
     return tuple(places)

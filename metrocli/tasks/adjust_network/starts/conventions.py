@@ -85,8 +85,8 @@ def other_conventions(
     """Yield stations with a convention by which they see what the majority sees; of two halves, each beside the other.
 
     `zenith` if the readings have zenith distances, to which a convention then applies. `units` are the conventions in
-    other units. Where distances are in two units, the majority beside all others is yielded, too. Stations that share
-    too few points with the others are left as they are.
+    other units. Where distances are in two units, or two instruments differ, the majority beside all others is yielded,
+    too. Stations that share too few points with the others are left as they are.
     """
     figures = _Figures(readings, zenith)
     groups = figures.groups()
@@ -96,9 +96,11 @@ def other_conventions(
     every = (*_EITHER, *units, *(_OF_ZENITH_DISTANCES if zenith else _OF_ELEVATIONS))
     for group in groups:
         others = [station for station in figures.stations if station not in group]
-        # mirror images do not show which is right, but a unit in use does: the majority may have the wrong one
-        of_most = len(group) == most
-        for convention in (one for one in every if of_most or (one.is_length and len(groups) == 2)):
+        # mirror images do not show which is right, but a unit in use does, and an instrument has one convention at all
+        # its stations: the majority may have the wrong one
+        of_most, instrument = len(group) == most, readings.stations.instrument
+        apart = not np.isin(instrument[group], instrument[others]).any()
+        for convention in (one for one in every if of_most or ((one.is_length or apart) and len(groups) == 2)):
             agreeing = tuple(station for station in others if figures.agrees(station, group, convention))
             if agreeing:
                 yield agreeing, convention

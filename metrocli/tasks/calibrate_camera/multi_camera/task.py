@@ -25,7 +25,15 @@ from metrocli.tasks.calibrate_camera.readings import sighted_in
 from metrocli.tasks.calibrate_camera.settings import Files, OneOfSeveral, Settings
 from metrocli.tasks.job import Job
 from metrocli.tasks.shared.images.adjustment import AdjustedImages, Options, adjust_images, must_converge
-from metrocli.tasks.shared.images.covariates import at_solution, covariate, folds, named, place_of_target, refit
+from metrocli.tasks.shared.images.covariates import (
+    at_solution,
+    covariate,
+    folds,
+    named,
+    place_of_target,
+    refit,
+    with_all_readings,
+)
 from metrocli.tasks.shared.images.exposures import exposures
 
 
@@ -40,8 +48,9 @@ def run(job: Job[Settings, Files], cameras: Mapping[str, OneOfSeveral]) -> Resul
 
 def diagnosed(job: Job[Settings, Files], cameras: Mapping[str, OneOfSeveral]) -> AdjustedJob:
     """Return the adjusted cameras for `diagnose`, with all their readings; raises as `run`."""
-    system = prepared(job, cameras)
-    return adjusted_job(system, _solved(replace(job.settings, outliers="report"), system))
+    system, settings = prepared(job, cameras), job.settings
+    adjusted = with_all_readings(settings.outliers, lambda how: _solved(replace(settings, outliers=how), system))
+    return adjusted_job(system, adjusted)
 
 
 def prepared(job: Job[Settings, Files], cameras: Mapping[str, OneOfSeveral]) -> CameraSystem:

@@ -14,7 +14,7 @@ from metrocli.frozen import dataclass
 from metrocli.instruments.axes.kinematics import OF_TOOL, ON_WORKPIECE, axes_of
 from metrocli.instruments.machine import TOOL, Machine
 from metrocli.table import Table
-from metrocli.tasks.calibrate_machine.acceptance.positioning import COVERAGE
+from metrocli.tasks.calibrate_machine.acceptance.ranges import Profile, draws
 from metrocli.tasks.calibrate_machine.described import commanded
 from metrocli.tasks.calibrate_machine.problem import tools_of
 from metrocli.tasks.calibrate_machine.settings import Settings
@@ -28,11 +28,13 @@ _FAR = 1e6
 """Distance by which the readings of two tools are moved apart, so that none is taken for that of another [mm]"""
 
 
-def paths(tables: Tables, solved: AdjustedMachine, settings: Settings, listed: Table | None) -> dict[str, Table]:
+def paths(
+    tables: Tables, solved: AdjustedMachine, settings: Settings, factor: float, listed: Table | None
+) -> dict[str, Table]:
     """Return the ranges along each path in the axes of the workpiece with U (k = 2), and the error at each position.
 
-    The predicted range is that of the error of the tip; U is propagated from tables and locations, at the two positions
-    that it lies between. The measured one adds the residuals of an R-test, where it followed the path.
+    The predicted range is that of the error of the tip, with its U from tables and locations. The measured one adds the
+    residuals of an R-test, where it followed the path; `factor` is the noise of its readings over the declared one.
     Raises InputError if positions are out of range, or if a path has one position.
     """
     if listed is None:
@@ -42,26 +44,24 @@ def paths(tables: Tables, solved: AdjustedMachine, settings: Settings, listed: T
     _refuse_short(listed, names)
     error, design = _predicted(tables, position, tool)
     measured = error + _residuals_at(solved, machine, position, tool)
-    sigma = settings.noise.probing or 0.0
+    drawn, sigma = draws(tables.raw), factor * (settings.noise.probing or 0.0)
     rows = []
     for name in dict.fromkeys(names.tolist()):
         at = np.flatnonzero(names == name)
+        noise = np.eye(len(at)) * sigma
+        read = draws(noise**2) if np.isfinite(measured[0, at]).all() else np.full((1, len(at)), np.nan)
         for axis in range(3):
-            low, high = (int(at[pick(error[axis, at])]) for pick in (np.argmin, np.argmax))
-            change = design[axis, high] - design[axis, low]
-            expanded = COVERAGE * float(np.sqrt(max(change @ tables.raw @ change, 0.0)))
-            extent = np.ptp(measured[axis, at])
-            rows.append((name, "xyz"[axis], error[axis, high] - error[axis, low], expanded, extent))
+            predicted = Profile(error[axis, at], design[axis, at], drawn).range_with_u()
+            followed = Profile(measured[axis, at], np.eye(len(at)), read).range_with_u()
+            rows.append((name, "xyz"[axis], *predicted, *followed))
     columns = list(zip(*rows, strict=True))
-    # the measured range is the difference of two readings
-    expanded_measured = np.where(np.isnan(columns[4]), np.nan, COVERAGE * np.sqrt(2) * sigma)
     return {
         "paths": Table.of(
             {
                 "path": columns[0],
                 "direction": columns[1],
                 "range U_range [mm]": np.array(columns[2:4]).T,
-                "measured U_measured [mm]": np.stack([columns[4], expanded_measured], axis=1),
+                "measured U_measured [mm]": np.array(columns[4:]).T,
             }
         ),
         "path_errors": Table.of(

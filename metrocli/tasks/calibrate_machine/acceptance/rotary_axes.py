@@ -17,7 +17,7 @@ from metrocli.instruments.axes.rotary import RotaryAxis, turning_axes
 from metrocli.instruments.machine import ANGLES, AXES, Machine, errors_of
 from metrocli.instruments.tracker import TRACKER
 from metrocli.table import Table
-from metrocli.tasks.calibrate_machine.acceptance.positioning import COVERAGE
+from metrocli.tasks.calibrate_machine.acceptance.ranges import Profile, draws
 from metrocli.tasks.calibrate_machine.tables import Tables
 
 MOUNT = "mount"
@@ -151,8 +151,9 @@ def _range(tables: Tables, motion: _Motion) -> tuple[float, float, float, float]
     """Return the least and the largest value of a motion over the knots, its range, and U of this."""
     at = np.array([tables.rows_of(name) for name in motion.errors]).T
     values = (motion.weights * tables.values[at]).sum(axis=1)
-    low, high = int(np.argmin(values)), int(np.argmax(values))
-    rows, change = np.concatenate([at[high], at[low]]), np.concatenate([motion.weights[high], -motion.weights[low]])
-    variance = float(change @ tables.covariance[np.ix_(rows, rows)] @ change)
-    size = float(values[high] - values[low])
-    return float(values[low]), float(values[high]), size, COVERAGE * float(np.sqrt(max(variance, 0.0)))
+    each = np.zeros((len(values), at.size))
+    for knot, weights in enumerate(motion.weights):
+        each[knot, knot * at.shape[1] : (knot + 1) * at.shape[1]] = weights
+    covariance = each @ tables.covariance[np.ix_(at.ravel(), at.ravel())] @ each.T
+    profile = Profile(values, np.eye(len(values)), draws(covariance))
+    return float(values.min()), float(values.max()), *profile.range_with_u()

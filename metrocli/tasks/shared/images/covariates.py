@@ -20,6 +20,7 @@ from metrocli.effects.covariates import Covariate
 from metrocli.effects.effect import ELAPSED, WARMING
 from metrocli.effects.extension import with_conditions
 from metrocli.effects.model import Model
+from metrocli.errors import NoSolutionError
 from metrocli.instruments.camera import LENS, TARGET
 from metrocli.tasks.shared.diagnosed import FOLDS
 from metrocli.tasks.shared.images.adjustment import IMAGES, AdjustedImages
@@ -28,6 +29,23 @@ from metrocli.tasks.shared.images.middle import held_in_the_middle
 _OF_TRIALS = StoppingRule(limit=200)
 """An adjustment with terms that the readings show takes less than 100 steps; others may wander through thousands"""
 PLACE = "place in the image"
+
+
+def with_all_readings(outliers: str, solve: Callable[[str], AdjustedImages]) -> AdjustedImages:
+    """Return the adjustment of all readings, `solve("report")`, of a job that reports or removes outliers.
+
+    An estimated noise is that of the readings which the job does not leave out, as the job states it.
+    """
+    every = solve("report")
+    if outliers == "report" or every.noise is None:
+        return every
+    try:
+        noise = solve(outliers).noise
+    except NoSolutionError:
+        return every
+    observations = every.group.observations
+    known = replace(observations, sigma=observations.sigma * ((noise or every.noise) / every.noise))
+    return replace(every, group=every.group.with_observations(known), noise=noise)
 
 
 def at_solution(model: Model, adjusted: AdjustedImages) -> Model:
