@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 
+from metrocli import units
 from metrocli.record import CriterionVerdict
 from metrocli.result import Result, Scalar
 from metrocli.table import Table
@@ -134,10 +135,11 @@ def _uncovered(
         return ()
     hull, radius = (100 * _number(statistics.get(f"coverage_{name}")) for name in ("hull", "radius"))
     name = f"{statistics['worst_camera']}: " if "worst_camera" in statistics else ""
+    size, allowed = units.two_digits(corner), units.two_digits(most)
     return (
         f"{name}readings span {hull:.0f} % of the image, up to {radius:.0f} % of its radius. In a corner the lens is "
-        f"uncertain by {corner:.2g} px (standard uncertainty), where {most:.2g} px (5 % of the image) are "
-        "allowed. Show the target near the corners, estimate fewer lens parameters, or set another limit: "
+        f"uncertain by {size} px (standard uncertainty), where {allowed} px (5 % of the image) are allowed. Show the "
+        "target near the corners, estimate fewer lens parameters, or set another limit: "
         f'`require: {{corner_std: "< {float(f"{2 * corner:.1g}"):g}"}}`',
     )
 

@@ -13,6 +13,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from metrocli import units
 from metrocli.diagnosis.adjusted_job import ABSURD, BETTER, AdjustedJob, Misfit, misfit_of
 from metrocli.diagnosis.corrections import ROWS, Inputs, Mistake, corrections
 from metrocli.diagnosis.other_settings import with_other_setting
@@ -174,7 +175,8 @@ def misread(
         "with this corrected, the job has a solution that fits, which it does not have as it stands "
         f"({_first_line(failure)})"
         if before is None
-        else f"with this corrected, the readings fit {before.ratio(fits):.2g} times better (ratio of squared misfits)"
+        else f"with this corrected, the readings fit {units.two_digits(before.ratio(fits))} times better "
+        "(ratio of squared misfits)"
     )
     also = f"; as good: {'; '.join(rest)}" if rest else ""
     return InputError([Fault(f"{first.words}: {how}", first.file or first.input, hint=f"write {first.write}{also}")])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 
+from metrocli import units
 from metrocli.adjust.allowance import allowance
 from metrocli.diagnosis.adjusted_job import AdjustedJob, Misfit, misfit_of
 from metrocli.diagnosis.corrections import Mistake
@@ -45,7 +46,8 @@ class Mistaken:
         """What the correction of the first mistake gains, in words."""
         gains = []
         if self.after < self.before:
-            gains.append(f"the squared residuals are {(self.before / max(self.after, 1e-12)) ** 2:.2g} times smaller")
+            ratio = units.two_digits((self.before / max(self.after, 1e-12)) ** 2)
+            gains.append(f"the squared residuals are {ratio} times smaller")
         if self.job.left_out < self.left_out:
             gains.append(f"the readings left out as outliers are {self.job.left_out}, not {self.left_out}")
         return " and ".join(gains)

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from metrocli import units
 from metrocli.adjust.outcome import Outcome
 from metrocli.adjust.solution import Solution
 from metrocli.arrays import Array, extents
@@ -64,7 +65,7 @@ def warnings(network: TracerNetwork, solution: Solution) -> list[str]:
     if ratio <= WEAK:
         return []
     return [
-        f"the layout is weak, points are {ratio:.2g} times as uncertain as lengths: {reason}"
+        f"the layout is weak, points are {units.two_digits(ratio)} times as uncertain as lengths: {reason}"
         for reason in reasons(network, solution)
     ]
 
@@ -76,7 +77,7 @@ def explained(network: TracerNetwork, solution: Solution) -> str:
     ]
     lines += [f"  undetermined: {combination}" for combination in solution.undetermined[:3]]
     if not solution.undetermined and solution.covariance is not None:
-        lines.append(f"  points are {weakness(network, solution):.2g} times as uncertain as lengths")
+        lines.append(f"  points are {units.two_digits(weakness(network, solution))} times as uncertain as lengths")
     lines += [f"  why: {reason}" for reason in reasons(network, solution)]
     return "\n".join(lines)
 

@@ -12,6 +12,7 @@ from itertools import product
 
 import numpy as np
 
+from metrocli import units
 from metrocli.adjust.robust import critical_value
 from metrocli.adjust.solution import Solution, residuals_of
 from metrocli.effects.estimates import estimates
@@ -110,7 +111,7 @@ def _quality(layout: PlannedNetwork) -> Iterator[str]:
         f"{roughly(root_mean_square(layout.covariances), 'um')} (root mean square), the worst point {name} to "
         f"{roughly(float(worst.max()), 'um')} in its worst direction"
     )
-    yield f"coordinates are {ratio:.2g} times as uncertain as lengths (1 to 3 is good)"
+    yield f"coordinates are {units.two_digits(ratio)} times as uncertain as lengths (1 to 3 is good)"
 
 
 def _of_part(layout: PlannedNetwork) -> Iterator[str]:
