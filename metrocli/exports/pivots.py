@@ -14,6 +14,7 @@ import numpy as np
 from metrocli.arrays import Array
 from metrocli.errors import InputError
 from metrocli.frozen import dataclass
+from metrocli.geometry.rotations import euler_from_rotation, rotation_from_euler
 from metrocli.instruments.axes.joints import turn
 from metrocli.instruments.axes.rotary import location_names
 from metrocli.instruments.machine import ANGLES, ROWS
@@ -40,6 +41,8 @@ class Pivot:
     nominal: Array
     location: Array
     """Location errors and zero position, (5,)"""
+    tilt: Array
+    """Turn of its direction against the nominal one, about x, y and z, (3,) rad"""
     order: int
     """Its place in the chain, from the workpiece on"""
 
@@ -104,6 +107,7 @@ def pivots(result: Result) -> list[Pivot]:
                 int(table.numbers("sense")[row]),
                 nominal,
                 value,
+                tilt,
                 int(table.numbers("place")[row]),
             )
         )
@@ -261,19 +265,20 @@ def _numbered(first: int, vector: Array) -> list[str]:
 
 
 def heidenhain(result: Result) -> Texts:
-    """Return the transformations before each rotary axis, each in the coordinates of the one before it."""
+    """Return the transformations before each rotary axis, from the bed on, each in the coordinates of the one before.
+
+    A location is a turn in the axes of the machine: the turn of the axis before is taken out of it and of the shift.
+    """
     axes = pivots(result)
-    lines, before = [*_head(result, axes, ";"), "; side;axis;dX;dY;dZ;turn A;turn B;turn C [deg]"], np.zeros(3)
+    lines = [*_head(result, axes, ";"), "; side;axis;dX;dY;dZ;turn A;turn B;turn C [deg]"]
     for side in ("table", "head"):
-        own = [pivot for pivot in _by_master(axes) if pivot.head == (side == "head")]
-        before = np.zeros(3)
-        for axis in own:
-            across = [i for i in range(3) if ANGLES[i] != axis.letter]
-            turns = np.zeros(3)
-            turns[across] = np.degrees(axis.location[2:4])
-            shift = ";".join(f"{x:.5f}" for x in (axis.place - before).tolist())
+        place, turned = np.zeros(3), np.eye(3)
+        for axis in (pivot for pivot in _by_master(axes) if pivot.head == (side == "head")):
+            own = rotation_from_euler(*axis.tilt)
+            shift = ";".join(f"{x:.5f}" for x in (turned.T @ (axis.place - place)).tolist())
+            turns = np.degrees(euler_from_rotation(turned.T @ own))
             lines.append(f"{side};{axis.letter};{shift};" + ";".join(f"{x:.6f}" for x in turns.tolist()))
-            before = axis.place
+            place, turned = axis.place, own
     return {"heidenhain-kinematics.txt": "\n".join([*lines, ""])}
 
 

@@ -95,6 +95,22 @@ def test_linuxcnc_turns_about_the_lines_that_were_found() -> None:
         assert tip == pytest.approx(machine.tip(pose, np.zeros(3)), abs=1e-4)
 
 
+@pytest.mark.parametrize("kind", sim.KINDS)
+def test_transformations_of_heidenhain_follow_each_other_to_the_lines(kind: str) -> None:
+    """Each acts in the coordinates that the ones before it have shifted and turned."""
+    held = result_of(located(kind, 9))
+    texts = export("kinematics", held)["kinematics.csv"], export("heidenhain", held)["heidenhain-kinematics.txt"]
+    listed, shifts = ([line for line in str(text).splitlines() if line[0] not in "#;"] for text in texts)
+    lines = {row[0]: np.array(row[3:6] + row[9:12], dtype=float) for row in (line.split(",") for line in listed[1:])}
+    frames = {"table": np.eye(4), "head": np.eye(4)}
+    for side, letter, *numbers in (line.split(";") for line in shifts):
+        shift, turns = np.array(numbers, dtype=float).reshape(2, 3)
+        frames[side], axis = frames[side] @ sim.placed(shift, np.radians(turns)), "ABC".index(letter)
+        assert frames[side][:3, 3] == pytest.approx(lines[letter][:3], abs=2e-5)
+        assert frames[side][:3, axis] == pytest.approx(lines[letter][3:], abs=5e-8)
+    assert len(shifts) == len(lines)
+
+
 @pytest.mark.parametrize("name", FORMATS)
 def test_nothing_is_written_of_what_is_not_determined(name: str) -> None:
     with pytest.raises(InputError, match="do not determine EY0A"):
