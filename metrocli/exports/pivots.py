@@ -149,6 +149,11 @@ def _head(result: Result, axes: Sequence[Pivot], comment: str, directions: bool 
         f"rotary axes of the chain {result.statistics.get('chain', '')}",
         "place and direction: actual, machine coordinates in mm with all axes at 0",
         _CONVENTION,
+        *(
+            f"{pivot.letter} counts the other way, as its `sense: -1` in the job states"
+            for pivot in axes
+            if pivot.sense < 0
+        ),
         *_test_moves(result, axes, directions),
     ]
     return [f"{comment} {line}" for line in lines]
@@ -213,13 +218,16 @@ def siemens_trafo5(result: Result) -> Texts:
 def linuxcnc(result: Result) -> Texts:
     """Return the HAL lines of xyzac-trt-kins or xyzbc-trt-kins (LinuxCNC, src/emc/kinematics/trtfuncs.c).
 
-    These modules know a table C on a tilting table A or B, and no directions.
+    These modules know a table C on a tilting table A or B, and no directions. Without conventional directions both
+    axes count against ISO 841.
     """
     axes = pivots(result)
     letters = "".join(pivot.letter for pivot in axes)
     if letters not in ("CA", "CB") or any(pivot.head for pivot in axes):
         raise InputError("LinuxCNC's trt kinematics are for a table C on a tilting table A or B")
     carried, tilting = axes
+    if carried.sense != tilting.sense:
+        raise InputError("LinuxCNC's trt kinematics count both axes as ISO 841, or both the other way")
     module = f"xyz{tilting.letter.lower()}c-trt-kins"
     across = 1 if tilting.letter == "A" else 0
     pins = {f"{axis}-rot-point": value for axis, value in zip("xyz", carried.place.tolist(), strict=True)}
@@ -229,7 +237,7 @@ def linuxcnc(result: Result) -> Texts:
         *_head(result, axes, "#", directions=False),
         "# the control counts as ISO 841 with the pin conventional-directions at 1 (pull request 3482)",
         "# tool-offset is the length of the tool; directions of the axes (EA0C, EB0C ...) have no pins",
-        f"setp {module}.conventional-directions 1",
+        f"setp {module}.conventional-directions {int(carried.sense > 0)}",
         *(f"setp {module}.{name} {value:.5f}" for name, value in pins.items()),
     ]
     return {"kinematics.hal": "\n".join([*lines, ""])}
@@ -241,8 +249,10 @@ def fanuc(result: Result) -> Texts:
     tables, heads = [pivot for pivot in axes if not pivot.head], [pivot for pivot in axes if pivot.head]
     kind = 12 if not heads else 2 if not tables else 21
     lines = [*_head(result, axes, ";", directions=False), f"N19680 P{kind}"]
+    # 0: the part that moves turns right-handed as the axis counts up, as a head does; a table does not
     lines += [
-        f"N{number} P{0 if pivot.head else 1}" for number, pivot in zip((19684, 19689), _by_master(axes), strict=False)
+        f"N{number} P{int(pivot.head != (pivot.sense > 0))}"
+        for number, pivot in zip((19684, 19689), _by_master(axes), strict=False)
     ]
     if tables:
         first = tables[-1]

@@ -117,6 +117,36 @@ def test_nothing_is_written_of_what_is_not_determined(name: str) -> None:
         export(name, result_of(located("table-table", 6), "EY0A"))
 
 
+@pytest.mark.parametrize("kind", sim.KINDS)
+def test_an_axis_that_counts_the_other_way_turns_the_other_way_in_the_control(kind: str) -> None:
+    """Fanuc: 0 turns the part that moves right-handed (19684, 19689); Siemens: the axis reversed."""
+    right, left = located(kind, 10), located(kind, 10)
+    left.sense = dict.fromkeys("ABC", -1)
+    read = {}
+    for sense, machine in ((1, right), (-1, left)):
+        held = result_of(machine)
+        fanuc, ini = export("fanuc", held)["fanuc-kinematics.txt"], export("siemens-trafo5", held)["trafo5.ini"]
+        turns = [int(one) for one in re.findall(r"N196(?:84|89) P(\d)", str(fanuc))]
+        axes = np.array(re.findall(r"TRAFO5_AXIS\d_1\[\d\]=(\S+)", str(ini)), dtype=float)
+        read[sense] = turns, axes
+        for name in FORMATS:
+            (text,) = export(name, held).values()
+            assert str(text).count("counts the other way") == (2 if sense < 0 else 0)
+    heads = kind.split("-").count("head")
+    assert read[1][0] == [0] * heads + [1] * (2 - heads)
+    assert [1 - one for one in read[1][0]] == read[-1][0]
+    assert read[-1][1] == pytest.approx(-read[1][1])
+
+
+def test_linuxcnc_counts_both_axes_alike() -> None:
+    machine = located("table-table", 11)
+    machine.sense = {"A": -1, "C": -1}
+    assert "conventional-directions 0" in str(export("linuxcnc", result_of(machine))["kinematics.hal"])
+    machine.sense = {"A": 1, "C": -1}
+    with pytest.raises(InputError, match="both the other way"):
+        export("linuxcnc", result_of(machine))
+
+
 def test_vectors_of_siemens_close() -> None:
     for kind, number in (("table-table", 40), ("head-table", 56), ("head-head", 24)):
         text = export("siemens-trafo5", result_of(located(kind, 7)))["trafo5.ini"]
