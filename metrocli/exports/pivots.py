@@ -14,6 +14,7 @@ import numpy as np
 from metrocli.arrays import Array
 from metrocli.errors import InputError
 from metrocli.frozen import dataclass
+from metrocli.geometry.rotations import euler_from_rotation, rotation_from_euler
 from metrocli.instruments.axes.joints import turn
 from metrocli.instruments.axes.rotary import location_names
 from metrocli.instruments.machine import ANGLES, ROWS
@@ -40,6 +41,8 @@ class Pivot:
     nominal: Array
     location: Array
     """Location errors and zero position, (5,)"""
+    tilt: Array
+    """Turn of its direction against the nominal one, about x, y and z, (3,) rad"""
     order: int
     """Its place in the chain, from the workpiece on"""
 
@@ -104,6 +107,7 @@ def pivots(result: Result) -> list[Pivot]:
                 int(table.numbers("sense")[row]),
                 nominal,
                 value,
+                tilt,
                 int(table.numbers("place")[row]),
             )
         )
@@ -145,6 +149,11 @@ def _head(result: Result, axes: Sequence[Pivot], comment: str, directions: bool 
         f"rotary axes of the chain {result.statistics.get('chain', '')}",
         "place and direction: actual, machine coordinates in mm with all axes at 0",
         _CONVENTION,
+        *(
+            f"{pivot.letter} counts the other way, as its `sense: -1` in the job states"
+            for pivot in axes
+            if pivot.sense < 0
+        ),
         *_test_moves(result, axes, directions),
     ]
     return [f"{comment} {line}" for line in lines]
@@ -209,13 +218,16 @@ def siemens_trafo5(result: Result) -> Texts:
 def linuxcnc(result: Result) -> Texts:
     """Return the HAL lines of xyzac-trt-kins or xyzbc-trt-kins (LinuxCNC, src/emc/kinematics/trtfuncs.c).
 
-    These modules know a table C on a tilting table A or B, and no directions.
+    These modules know a table C on a tilting table A or B, and no directions. Without conventional directions both
+    axes count against ISO 841.
     """
     axes = pivots(result)
     letters = "".join(pivot.letter for pivot in axes)
     if letters not in ("CA", "CB") or any(pivot.head for pivot in axes):
         raise InputError("LinuxCNC's trt kinematics are for a table C on a tilting table A or B")
     carried, tilting = axes
+    if carried.sense != tilting.sense:
+        raise InputError("LinuxCNC's trt kinematics count both axes as ISO 841, or both the other way")
     module = f"xyz{tilting.letter.lower()}c-trt-kins"
     across = 1 if tilting.letter == "A" else 0
     pins = {f"{axis}-rot-point": value for axis, value in zip("xyz", carried.place.tolist(), strict=True)}
@@ -225,7 +237,7 @@ def linuxcnc(result: Result) -> Texts:
         *_head(result, axes, "#", directions=False),
         "# the control counts as ISO 841 with the pin conventional-directions at 1 (pull request 3482)",
         "# tool-offset is the length of the tool; directions of the axes (EA0C, EB0C ...) have no pins",
-        f"setp {module}.conventional-directions 1",
+        f"setp {module}.conventional-directions {int(carried.sense > 0)}",
         *(f"setp {module}.{name} {value:.5f}" for name, value in pins.items()),
     ]
     return {"kinematics.hal": "\n".join([*lines, ""])}
@@ -237,8 +249,10 @@ def fanuc(result: Result) -> Texts:
     tables, heads = [pivot for pivot in axes if not pivot.head], [pivot for pivot in axes if pivot.head]
     kind = 12 if not heads else 2 if not tables else 21
     lines = [*_head(result, axes, ";", directions=False), f"N19680 P{kind}"]
+    # 0: the part that moves turns right-handed as the axis counts up, as a head does; a table does not
     lines += [
-        f"N{number} P{0 if pivot.head else 1}" for number, pivot in zip((19684, 19689), _by_master(axes), strict=False)
+        f"N{number} P{int(pivot.head != (pivot.sense > 0))}"
+        for number, pivot in zip((19684, 19689), _by_master(axes), strict=False)
     ]
     if tables:
         first = tables[-1]
@@ -261,19 +275,20 @@ def _numbered(first: int, vector: Array) -> list[str]:
 
 
 def heidenhain(result: Result) -> Texts:
-    """Return the transformations before each rotary axis, each in the coordinates of the one before it."""
+    """Return the transformations before each rotary axis, from the bed on, each in the coordinates of the one before.
+
+    A location is a turn in the axes of the machine: the turn of the axis before is taken out of it and of the shift.
+    """
     axes = pivots(result)
-    lines, before = [*_head(result, axes, ";"), "; side;axis;dX;dY;dZ;turn A;turn B;turn C [deg]"], np.zeros(3)
+    lines = [*_head(result, axes, ";"), "; side;axis;dX;dY;dZ;turn A;turn B;turn C [deg]"]
     for side in ("table", "head"):
-        own = [pivot for pivot in _by_master(axes) if pivot.head == (side == "head")]
-        before = np.zeros(3)
-        for axis in own:
-            across = [i for i in range(3) if ANGLES[i] != axis.letter]
-            turns = np.zeros(3)
-            turns[across] = np.degrees(axis.location[2:4])
-            shift = ";".join(f"{x:.5f}" for x in (axis.place - before).tolist())
+        place, turned = np.zeros(3), np.eye(3)
+        for axis in (pivot for pivot in _by_master(axes) if pivot.head == (side == "head")):
+            own = rotation_from_euler(*axis.tilt)
+            shift = ";".join(f"{x:.5f}" for x in (turned.T @ (axis.place - place)).tolist())
+            turns = np.degrees(euler_from_rotation(turned.T @ own))
             lines.append(f"{side};{axis.letter};{shift};" + ";".join(f"{x:.6f}" for x in turns.tolist()))
-            before = axis.place
+            place, turned = axis.place, own
     return {"heidenhain-kinematics.txt": "\n".join([*lines, ""])}
 
 

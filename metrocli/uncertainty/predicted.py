@@ -9,6 +9,7 @@ import numpy as np
 from metrocli.arrays import Array, Index, Mask
 from metrocli.errors import Fault, InputError
 from metrocli.frozen import dataclass
+from metrocli.geometry.rotations import cross_matrix
 from metrocli.result import Result
 from metrocli.table import Table
 from metrocli.uncertainty.calibrated_machine import error_motion, outside
@@ -136,6 +137,26 @@ def shared(common: Array, core: Array) -> Array:
 def independent(values: Array, covariance: Array) -> PredictedPlaces:
     """Return places (n, 3) with independent errors of covariance (n, 3, 3)."""
     return PredictedPlaces(values, np.zeros((len(values), 3, 0)), np.zeros((0, 0)), covariance)
+
+
+def after_fit(places: PredictedPlaces, own: Array) -> Array:
+    """Return the covariance of each place after a fit of shift and turn, (n, 3, 3).
+
+    `P Q P`, P = I - B B' with B (3n, 6) an orthonormal basis of the small motions of all points; only its blocks of
+    single points are computed. `own` is O, with the variances of a measurement where a deviation from it is meant.
+    """
+    n = len(own)
+    centred = places.values - places.values.mean(axis=0)
+    motions = np.zeros((n, 3, 6))
+    # turns by the size of the part: columns of one order keep the QR exact
+    motions[:, :, :3], motions[:, :, 3:] = np.eye(3), cross_matrix(centred) / np.abs(centred).max()
+    basis = np.linalg.qr(motions.reshape(-1, 6))[0].reshape(n, 3, 6)
+    common = places.common - basis @ np.einsum("nia,nik->ak", basis, places.common)
+    moved = own @ basis
+    fitted = basis @ np.einsum("nia,nib->ab", basis, moved)
+    crossed = moved @ np.swapaxes(basis, 1, 2)
+    left = own - crossed - np.swapaxes(crossed, 1, 2) + fitted @ np.swapaxes(basis, 1, 2)
+    return np.asarray(common @ places.core @ np.swapaxes(common, 1, 2) + left)
 
 
 def _tools(tools: Table, commanded: Table, faults: list[Fault]) -> Index:

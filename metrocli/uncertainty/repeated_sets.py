@@ -12,7 +12,7 @@ from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.result import Result
 from metrocli.uncertainty.comparison import POINTS
-from metrocli.uncertainty.predicted import in_machine
+from metrocli.uncertainty.predicted import PredictedPlaces, after_fit, has_points, in_machine, independent, points_of
 
 FEWEST = 3
 LENGTHS = "length_errors"
@@ -109,20 +109,30 @@ def _points(results: Sequence[Result]) -> Iterator[RepeatedQuantity]:
     tables = [result.tables.get(POINTS) for result in results]
     if any(table is None or not {"point", "x", "y", "z", "sx"} <= set(table) for table in tables):
         return
-    places = [
-        dict(zip(table.texts("point"), np.c_[table.stacked("xyz"), table.stacked(("sx", "sy", "sz"))], strict=True))
-        for table in tables
-        if table is not None
-    ]
-    common = [name for name in places[0] if all(name in place for place in places)]
+    rows = [{name: row for row, name in enumerate(table.texts("point"))} for table in tables if table is not None]
+    common = [name for name in rows[0] if all(name in known for known in rows)]
     if len(common) < FEWEST:
         return
-    every = np.array([[place[name] for name in common] for place in places])
-    at = every[:, :, :3]
+    every = [
+        _places(result).of(np.array([known[name] for name in common]))
+        for result, known in zip(results, rows, strict=True)
+    ]
+    at, covariance = np.array([places.values for places in every]), [places.covariance for places in every]
     if not in_machine(results[0]):
-        at = np.array([poses.apply(poses.fit_pose(places, at[0]), places) for places in at])
+        at = np.array([poses.apply(poses.fit_pose(values, at[0]), values) for values in at])
+        # the fit takes from the scatter what the points have in common, such as the uncertainty of a given datum
+        covariance = [after_fit(places, places.own) for places in every]
     sigma = np.sqrt((at.std(axis=0, ddof=1) ** 2).mean(axis=0))
-    std = np.sqrt((every[:, :, 3:] ** 2).mean(axis=(0, 1)))
+    std = np.sqrt(np.diagonal(covariance, axis1=2, axis2=3).mean(axis=(0, 1)))
     for k, axis in enumerate("xyz"):
         name = f"{axis} of {len(common)} points"
         yield RepeatedQuantity(POINTS, name, float("nan"), float(sigma[k]), float(std[k]), "mm")
+
+
+def _places(result: Result) -> PredictedPlaces:
+    """Return the points of a result; without their covariance each has its standard uncertainties alone."""
+    if has_points(result):
+        return points_of(result)
+    table = result.tables[POINTS]
+    variances = table.stacked(("sx", "sy", "sz")) ** 2
+    return independent(table.stacked("xyz"), variances[:, :, None] * np.eye(3))

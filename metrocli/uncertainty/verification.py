@@ -11,7 +11,6 @@ from metrocli.arrays import Array
 from metrocli.errors import InputError
 from metrocli.frozen import dataclass
 from metrocli.geometry import poses
-from metrocli.geometry.rotations import cross_matrix
 from metrocli.result import Result
 from metrocli.table import Columns, Table, columns
 from metrocli.uncertainty import predicted
@@ -153,7 +152,7 @@ def verify(result: Result, check: Table, aligned: bool = False) -> Verification:
     own = places.own + (check.numbers("sigma", 0.0) ** 2)[:, None, None] * np.eye(3)
     # a part that was laid onto the prediction has lost six motions, and their covariance with them
     laid = not (aligned or predicted.in_machine(result))
-    left = _after_fit if laid else _as_it_is
+    left = predicted.after_fit if laid else _as_it_is
     if laid:
         measured = _laid(check, measured, places.values)
     covariance, predicted_part = left(places, own), left(places, places.own)
@@ -229,26 +228,6 @@ def _laid(check: Table, measured: Array, onto: Array) -> Array:
 def _as_it_is(places: PredictedPlaces, own: Array) -> Array:
     """Return the covariance of each deviation in the frame of the result, (n, 3, 3)."""
     return np.asarray(places.common @ places.core @ np.swapaxes(places.common, 1, 2) + own)
-
-
-def _after_fit(places: PredictedPlaces, own: Array) -> Array:
-    """Return the covariance of each deviation after the fit of shift and turn, (n, 3, 3).
-
-    `P Q P`, P = I - B B' with B (3n, 6) an orthonormal basis of the small motions of all points; only its blocks of
-    single points are computed. `own` is O with the variances of the measurement.
-    """
-    n = len(own)
-    centred = places.values - places.values.mean(axis=0)
-    motions = np.zeros((n, 3, 6))
-    # turns by the size of the part: columns of one order keep the QR exact
-    motions[:, :, :3], motions[:, :, 3:] = np.eye(3), cross_matrix(centred) / np.abs(centred).max()
-    basis = np.linalg.qr(motions.reshape(-1, 6))[0].reshape(n, 3, 6)
-    common = places.common - basis @ np.einsum("nia,nik->ak", basis, places.common)
-    moved = own @ basis
-    fitted = basis @ np.einsum("nia,nib->ab", basis, moved)
-    crossed = moved @ np.swapaxes(basis, 1, 2)
-    left = own - crossed - np.swapaxes(crossed, 1, 2) + fitted @ np.swapaxes(basis, 1, 2)
-    return np.asarray(common @ places.core @ np.swapaxes(common, 1, 2) + left)
 
 
 def _points(names: list[str], vectors: Array, covariance: Array, dof: Array) -> tuple[Deviation, ...]:

@@ -95,10 +95,56 @@ def test_linuxcnc_turns_about_the_lines_that_were_found() -> None:
         assert tip == pytest.approx(machine.tip(pose, np.zeros(3)), abs=1e-4)
 
 
+@pytest.mark.parametrize("kind", sim.KINDS)
+def test_transformations_of_heidenhain_follow_each_other_to_the_lines(kind: str) -> None:
+    """Each acts in the coordinates that the ones before it have shifted and turned."""
+    held = result_of(located(kind, 9))
+    texts = export("kinematics", held)["kinematics.csv"], export("heidenhain", held)["heidenhain-kinematics.txt"]
+    listed, shifts = ([line for line in str(text).splitlines() if line[0] not in "#;"] for text in texts)
+    lines = {row[0]: np.array(row[3:6] + row[9:12], dtype=float) for row in (line.split(",") for line in listed[1:])}
+    frames = {"table": np.eye(4), "head": np.eye(4)}
+    for side, letter, *numbers in (line.split(";") for line in shifts):
+        shift, turns = np.array(numbers, dtype=float).reshape(2, 3)
+        frames[side], axis = frames[side] @ sim.placed(shift, np.radians(turns)), "ABC".index(letter)
+        assert frames[side][:3, 3] == pytest.approx(lines[letter][:3], abs=2e-5)
+        assert frames[side][:3, axis] == pytest.approx(lines[letter][3:], abs=5e-8)
+    assert len(shifts) == len(lines)
+
+
 @pytest.mark.parametrize("name", FORMATS)
 def test_nothing_is_written_of_what_is_not_determined(name: str) -> None:
     with pytest.raises(InputError, match="do not determine EY0A"):
         export(name, result_of(located("table-table", 6), "EY0A"))
+
+
+@pytest.mark.parametrize("kind", sim.KINDS)
+def test_an_axis_that_counts_the_other_way_turns_the_other_way_in_the_control(kind: str) -> None:
+    """Fanuc: 0 turns the part that moves right-handed (19684, 19689); Siemens: the axis reversed."""
+    right, left = located(kind, 10), located(kind, 10)
+    left.sense = dict.fromkeys("ABC", -1)
+    read = {}
+    for sense, machine in ((1, right), (-1, left)):
+        held = result_of(machine)
+        fanuc, ini = export("fanuc", held)["fanuc-kinematics.txt"], export("siemens-trafo5", held)["trafo5.ini"]
+        turns = [int(one) for one in re.findall(r"N196(?:84|89) P(\d)", str(fanuc))]
+        axes = np.array(re.findall(r"TRAFO5_AXIS\d_1\[\d\]=(\S+)", str(ini)), dtype=float)
+        read[sense] = turns, axes
+        for name in FORMATS:
+            (text,) = export(name, held).values()
+            assert str(text).count("counts the other way") == (2 if sense < 0 else 0)
+    heads = kind.split("-").count("head")
+    assert read[1][0] == [0] * heads + [1] * (2 - heads)
+    assert [1 - one for one in read[1][0]] == read[-1][0]
+    assert read[-1][1] == pytest.approx(-read[1][1])
+
+
+def test_linuxcnc_counts_both_axes_alike() -> None:
+    machine = located("table-table", 11)
+    machine.sense = {"A": -1, "C": -1}
+    assert "conventional-directions 0" in str(export("linuxcnc", result_of(machine))["kinematics.hal"])
+    machine.sense = {"A": 1, "C": -1}
+    with pytest.raises(InputError, match="both the other way"):
+        export("linuxcnc", result_of(machine))
 
 
 def test_vectors_of_siemens_close() -> None:

@@ -53,7 +53,28 @@ def test_scatter_over_many_sets() -> None:
     assert found["T0 - T1"].sigma == pytest.approx(sizes.std(ddof=1))
     for axis, sigma, std in zip("xyz", (0.01, 0.02, 0.03), (0.01, 0.02, 0.015), strict=True):
         one = found[f"{axis} of 40 points"]
-        assert one.sigma == pytest.approx(sigma, rel=0.1) and one.std == pytest.approx(std)
+        # the fit takes a little from what is stated, as from the scatter
+        assert one.sigma == pytest.approx(sigma, rel=0.1) and 0.96 * std < one.std < std
+
+
+def test_what_points_have_in_common_is_not_stated_of_sets_laid_onto_each_other() -> None:
+    """Points of 0.01 mm in a frame that a given datum holds within 0.1 mm and 0.1 mrad, drawn anew in each set."""
+    centred = PLACES - PLACES.mean(axis=0)
+    motions = np.concatenate(
+        [np.broadcast_to(np.eye(3), (40, 3, 3)), np.cross(np.eye(3), centred[:, None]).swapaxes(1, 2)], axis=2
+    )
+    core = np.diag([0.1] * 3 + [1e-4] * 3) ** 2
+    own = np.broadcast_to(1e-4 * np.eye(3), (40, 3, 3))
+    whole = own + motions @ core @ motions.swapaxes(1, 2)
+    sets = []
+    for _ in range(30):
+        places = PLACES + 0.01 * RNG.normal(size=PLACES.shape) + motions @ (np.sqrt(core) @ RNG.normal(size=6))
+        columns = {"point": NAMES, **dict(zip("xyz", places.T, strict=True))}
+        columns |= {f"s{axis}": np.sqrt(whole[:, k, k]) for k, axis in enumerate("xyz")}
+        arrays = {"points_covariance": whole, "points_common": motions, "points_core": core}
+        sets.append(Result("multilaterate", "", (), np.zeros((0, 0)), {}, {"points": Table(columns)}, arrays))
+    ratios = [one.ratio for one in repetition(sets).quantities]
+    assert len(ratios) == 3 and ratios == pytest.approx(np.ones(3), abs=0.1)
 
 
 def test_points_in_a_machine_are_not_laid_onto_each_other() -> None:

@@ -273,12 +273,17 @@ def _with_covariance(known: KnownPoints, files: Files) -> KnownPoints:
     return KnownPoints(known.names, known.listed, known.sigma, matrix, (member, column))
 
 
+_HELD = 1e-6
+"""Variance of a motion that a datum holds, relative to the mean variance of the coordinates"""
+
+
 def _joint_of_result(known: KnownPoints, points: Result) -> KnownPoints:
     if POINTS_COVARIANCE not in points.arrays:
         return known
     joint = points_of(points).joint
-    # a free network has a singular covariance, which is not a prior: its points stay a list
-    if not (np.linalg.eigvalsh(joint) > 1e-9 * np.trace(joint) / len(joint)).all():
-        return known
     rows = np.arange(len(joint))
+    # a datum holds the motions of a free network exactly; here they are known to a thousandth of its coordinates
+    joint[rows, rows] += _HELD * np.trace(joint) / max(len(joint), 1)
+    if not (np.linalg.eigvalsh(joint) > 0).all():
+        return known
     return KnownPoints(known.names, known.listed, known.sigma, joint, (rows // 3, rows % 3))

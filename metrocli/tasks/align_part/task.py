@@ -31,12 +31,12 @@ from metrocli.tasks.shared.images.adjustment import (
     AdjustedImages,
     Options,
     adjust_images,
-    apart_from_others,
     is_lost,
     must_converge,
     must_fit,
 )
 from metrocli.tasks.shared.images.covariates import with_all_readings
+from metrocli.tasks.shared.images.lost import apart_from_others
 from metrocli.tasks.shared.images.places import not_sought
 from metrocli.tasks.shared.images.settings import ESTIMATE
 from metrocli.tasks.shared.images.sightings import Needs, sightings
@@ -156,7 +156,7 @@ def _with_images_left_out(
         rest = _adjusted(problem, near, replace(options, remove_outliers=True))
     except (InputError, NotConvergedError):
         return error
-    images = apart_from_others(problem.images, rest)
+    images = apart_from_others(problem.images, rest.group, rest.rejected)
     if not images:
         return error
     return InputError(

@@ -40,11 +40,11 @@ from metrocli.tasks.shared.images.adjustment import (
     AdjustedImages,
     Options,
     adjust_images,
-    apart_from_others,
     must_converge,
 )
 from metrocli.tasks.shared.images.camera_parameters import delivered
 from metrocli.tasks.shared.images.covariates import with_all_readings
+from metrocli.tasks.shared.images.lost import apart_from_others
 from metrocli.tasks.shared.images.places import not_sought
 from metrocli.tasks.shared.images.settings import SPLINE
 from metrocli.tasks.shared.images.tables import root_mean_square
@@ -182,7 +182,7 @@ def _strange_beside_others(problem: CameraProblem, options: Options) -> list[str
     rest = adjust_images(
         problem.blocks, problem.images, problem.others, problem.datum, replace(options, remove_outliers=True)
     )
-    images = apart_from_others(problem.images, rest) if rest.solution.outcome.good else []
+    images = apart_from_others(problem.images, rest.group, rest.rejected) if rest.solution.outcome.good else []
     fits = "do not fit those of the other images, which fit each other; check the names of their targets"
     return [f"the points of {listed(images)} {fits}"] if images else []
 

@@ -242,7 +242,9 @@ def _statistics(
     rms = float(np.sqrt((solved.residuals[0].values ** 2).mean()))
     finite = np.isfinite(machine.std)
     noise = float(solved.problem.readings.observations.sigma.mean())
-    gain = float(np.sqrt((machine.std[finite] ** 2).mean()) / noise) if finite.any() else float("inf")
+    # as of a plan: a site beyond the grid has few readings, and what the grid states does not depend on it
+    on_grid = finite & (np.abs(machine.indices) <= solved.problem.grid.half).all(axis=1, keepdims=True)
+    gain = float(np.sqrt((machine.std[on_grid] ** 2).mean()) / noise) if on_grid.any() else float("inf")
     statistics = basic_statistics(solved.solution, {"mm": rms}) | {
         "undetermined": left_open.count,
         "noise_gain": gain,

@@ -13,6 +13,8 @@ from simulated.network import NOISE, network, sigmas
 from tasks.adjust_network.dense import Dense
 
 from metrocli.formats import hdf5
+from metrocli.geometry import poses
+from metrocli.uncertainty.predicted import after_fit, points_of
 
 Metrocli = Callable[..., Any]
 MAKES: dict[str, dict[str, Any]] = {
@@ -37,6 +39,33 @@ def test_points_and_covariance_are_those_of_the_dense_adjustment(make: str, tmp_
     assert np.abs(joint - q).max() < 1e-6 * np.diag(q).max()
     assert np.abs(np.diag(joint) / np.diag(q) - 1).max() < 1e-6
     assert result.statistics["chi2"] == pytest.approx(squares, rel=1e-6)
+
+
+@pytest.mark.parametrize("levelled", [False, True])
+def test_stations_on_the_points_of_a_free_network_give_what_all_give_together(
+    levelled: bool, tmp_path: Path, metrocli: Metrocli
+) -> None:
+    """The covariance of a free network is singular, and its points are no independent readings of their places."""
+    job = network(np.random.default_rng(15), stations=4, faces=2, levelled=levelled).write(tmp_path)
+    text, found = job.read_text(), {}
+    files = {name: (tmp_path / f"{name}.csv").read_text().splitlines() for name in ("readings", "stations")}
+    for name, chosen, points in (
+        ("all", "1234", "points.csv"),
+        ("first", "12", "points.csv"),
+        ("more", "34", "first.h5"),
+    ):
+        for file, (head, *rows) in files.items():
+            kept = [row for row in rows if row[1] in chosen]
+            (tmp_path / f"{file}.csv").write_text("\n".join([head, *kept, ""]))
+        job.write_text(text.replace("points.csv", points).replace("result.h5", f"{name}.h5"))
+        ran = metrocli("adjust-network", job)
+        assert ran.code == 0, ran.err
+        found[name] = points_of(hdf5.read(tmp_path / f"{name}.h5")[0])
+    together, after = found["all"], found["more"]
+    stated = [np.sqrt(np.diagonal(after_fit(one, one.own), axis1=1, axis2=2)) for one in (together, after)]
+    assert stated[1] == pytest.approx(stated[0], rel=1e-4)
+    laid = poses.apply(poses.fit_pose(after.values, together.values), after.values)
+    assert np.abs((laid - together.values) / stated[0]).max() < 1e-3
 
 
 def test_without_a_list_the_first_station_is_the_frame(tmp_path: Path, metrocli: Metrocli) -> None:

@@ -314,3 +314,31 @@ def test_an_image_of_another_lens_leaves_a_network_and_takes_no_target_along() -
     assert result.tables["rejected"].texts("image").count("i03") == mine.sum()
     # in units of 1 px, where the noise is 0.05 px
     assert float(str(result.statistics["sigma0"])) == pytest.approx(0.05, rel=0.05)
+
+
+@pytest.mark.parametrize("images", [2, 3])
+def test_a_target_whose_readings_contradict_each_other_leaves_with_them(images: int) -> None:
+    """Once a reading of two had left, nothing placed the target, and the whole network had no result."""
+    right = measured(1, wrong=False, outliers="remove", rig="network")
+    seen = right.files.observations
+    assert seen is not None
+    own = np.array(seen.texts("target")) == (name := seen.texts("target")[30])
+    kept = ~own | np.isin(np.arange(len(seen)), np.flatnonzero(own)[:images])
+    shifted = {
+        f"{k} [px]": seen.numbers(k) + 40 * own * np.random.default_rng(n).normal(size=len(seen))
+        for n, k in enumerate("uv")
+    }
+    spoilt = seen.joined(shifted).selected(kept)
+    result = calibrate_camera.run(replace(right, files=replace(right.files, observations=spoilt)))
+    rejected = result.tables["rejected"].texts("target")
+    assert rejected == [name] * images and name not in result.tables["points"].texts("point")
+    assert f"left out: 1 target is placed by fewer than two right readings: {name}" in result.warnings
+    expected = calibrate_camera.run(replace(right, files=replace(right.files, observations=seen.selected(~own))))
+    for found, without in zip(result.estimates, expected.estimates, strict=True):
+        assert found.value == pytest.approx(without.value, abs=1e-4 * without.std)
+        assert found.std == pytest.approx(without.std, rel=1e-5)
+    # a scale bar needs its ends: then the readings that left are named as the reason
+    bar = Table.of({"from": [name], "to": [seen.texts("target")[5]], "length [mm]": [100.0], "sigma [mm]": [50.0]})
+    files = replace(right.files, observations=spoilt, scale_bars=bar)
+    with pytest.raises(UndeterminedError, match=rf"(?s)of {name}.*readings left out as outliers.*of {name}"):
+        calibrate_camera.run(replace(right, files=files))

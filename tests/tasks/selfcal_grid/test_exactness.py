@@ -186,7 +186,10 @@ def test_sites_outside_the_grid_and_repeats() -> None:
     assert beyond.sum() == 9
     assert np.abs(found.stacked(["ex", "ey", "ez"])[~beyond] - one.machine).max() < 1e-9
     assert np.abs(found.stacked(["ex", "ey", "ez"])[beyond] - error).max() < 1e-9
-    assert (found.stacked(["s_ex", "s_ey", "s_ez"])[beyond] > 1.0 * 5e-4).all()
+    std = found.stacked(["s_ex", "s_ey", "s_ez"])
+    assert (std[beyond] > 1.0 * 5e-4).all()
+    # the noise gain is that of a plan and of `--compare`, at the sites of the grid
+    assert result.statistics["noise_gain"] == pytest.approx(np.sqrt((std[~beyond] ** 2).mean()) / 5e-4)
 
 
 @pytest.mark.parametrize("names", [("1", "2", "3", "4")])

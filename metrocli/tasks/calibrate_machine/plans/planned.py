@@ -74,9 +74,9 @@ def planned_problem(settings: Settings, path: Path) -> MachineProblem:
     return MachineProblem(model, machine, length, tools_used(settings, path.tool))
 
 
-def tracker_in_words(machine: Machine, plan: PathPlan) -> str:
-    """Return where a plan takes the tracker to stand, and what gives another place."""
-    at = ", ".join(f"{value:.0f}" for value in tracker_pose(machine.low, machine.high, plan)[:3].tolist())
+def tracker_in_words(low: Array, high: Array, plan: PathPlan) -> str:
+    """Return where a plan takes the tracker to stand beside a volume, and what gives another place."""
+    at = ", ".join(f"{value:.0f}" for value in tracker_pose(low, high, plan)[:3].tolist())
     taken = "as the job has it" if plan.tracker is not None else "assumed; `plan: {tracker: [..]}` gives another place"
     return f"tracker at ({at}) mm in the machine, {taken}"
 
@@ -129,7 +129,7 @@ def plan_of_path(settings: Settings, table: Table | None) -> Plan:
     notes = [
         *own,
         f"proposed: {len(path.lengths)} legs, {path.length:.0f} mm of at most {longest:.0f} mm, {time:.0f} s",
-        tracker_in_words(machine, wanted),
+        tracker_in_words(machine.low, machine.high, wanted),
     ]
     figures = (Estimate("path_length", path.length, 0.0, "mm"), Estimate("duration", time, 0.0, "s"))
     files: dict[str, Table | str] = {

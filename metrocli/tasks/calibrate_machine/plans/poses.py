@@ -19,7 +19,14 @@ from metrocli.table import Table
 from metrocli.tasks.calibrate_machine.described import machine_of
 from metrocli.tasks.calibrate_machine.files import Files
 from metrocli.tasks.calibrate_machine.methods.poses import in_degrees, places_read, poses_at, problem_at, without_errors
-from metrocli.tasks.calibrate_machine.plans.planned import Worth, judged, planned, tracker_pose, worth_of
+from metrocli.tasks.calibrate_machine.plans.planned import (
+    Worth,
+    judged,
+    planned,
+    tracker_in_words,
+    tracker_pose,
+    worth_of,
+)
 from metrocli.tasks.calibrate_machine.plans.pose_program import by_set_up, program_of_poses, with_room
 from metrocli.tasks.calibrate_machine.problem import MachineProblem
 from metrocli.tasks.calibrate_machine.settings import LENGTHS, PROBING, STANDSTILL, Settings
@@ -64,7 +71,10 @@ def plan_of_poses(settings: Settings, files: Files) -> Plan:
     if settings.method in names:
         n = len(set(table.texts(names[settings.method])))
         text += f" with {n} {names[settings.method]}s"
-    notes = [*own, text, _UNCHECKED]
+    where = []
+    if settings.method == STANDSTILL:
+        where = [tracker_in_words(*_reached(settings, table, files), settings.plan)]
+    notes = [*own, text, *where, _UNCHECKED]
     if settings.method == LENGTHS and files.stations is None:
         stations = without_errors(settings, table, files, np.zeros(6))[1].listed_stations
         proposed |= {} if stations is None else {"stations.csv": stations}
@@ -147,12 +157,17 @@ def _problem(settings: Settings, table: Table, files: Files) -> Callable[[], Mac
     def problem() -> MachineProblem:
         tracker = np.zeros(6)
         if settings.method == STANDSTILL:
-            places = places_read(settings, table, files)
-            tracker = tracker_pose(places.min(axis=1), places.max(axis=1), settings.plan)
+            tracker = tracker_pose(*_reached(settings, table, files), settings.plan)
         read, known = without_errors(settings, table, files, tracker)
         return problem_at(settings, read, known)
 
     return problem
+
+
+def _reached(settings: Settings, table: Table, files: Files) -> tuple[Array, Array]:
+    """Return the low and the high corner of the places that poses reach, (3,) mm."""
+    places = places_read(settings, table, files)
+    return places.min(axis=1), places.max(axis=1)
 
 
 def _balls(settings: Settings) -> Table:

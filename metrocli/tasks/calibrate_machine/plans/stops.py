@@ -66,7 +66,9 @@ def plan_of_points(settings: Settings, points: Table | None) -> Plan:
         count *= _GROWTH
     blocks = visits_with_tools(settings, table)
     text = program("metrocli points for calibrate-machine", [*PLACES, _RESTS], blocks, wanted.control)
-    notes = [*own, f"proposed: {len(table)} points", tracker_in_words(machine_of(settings), wanted)]
+    machine = machine_of(settings)
+    where = tracker_in_words(machine.low, machine.high, wanted)
+    notes = [*own, f"proposed: {len(table)} points", where]
     files: dict[str, Table | str] = {"points.csv": table, "points.nc": text}
     return planned(notes, (Estimate("points", float(len(table)), 0.0, "1"),), worth, files, [])
 

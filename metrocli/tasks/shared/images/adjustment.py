@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
@@ -30,7 +29,9 @@ from metrocli.adjust.solution import Residuals, Solution, residuals_of
 from metrocli.arrays import Array
 from metrocli.errors import InputError, NotConvergedError
 from metrocli.frozen import dataclass
+from metrocli.instruments.camera import TARGET
 from metrocli.table import Table
+from metrocli.tasks.shared.images.lost import lost_targets, rejected, without_lost_views, without_targets
 from metrocli.tasks.shared.noise import Structured, job_noise
 
 IMAGES = "images"
@@ -149,6 +150,28 @@ def adjust_images(
 ) -> AdjustedImages:
     """Adjust image points from a robust start; remove outliers and estimate the noise as the options ask.
 
+    A target that loses so many readings that the others do not place it is left out with them. Raises InputError if
+    most readings are far from any solution.
+    """
+    found = _adjusted(blocks, group, others, datum, options)
+    if found.solution.outcome.good or not options.remove_outliers or TARGET not in blocks:
+        return found
+    lost = lost_targets(blocks[TARGET], group, found.group, others)
+    if not lost.any():
+        return found
+    fewer, rest, kept = without_targets(lost, blocks, group, datum)
+    without = adjust_images(fewer, rest, others, kept, options)
+    if not without.solution.outcome.good:
+        return found
+    tests = np.where(lost[group.observations.index[TARGET]], np.nan, 0.0)
+    return replace(without, rejected=Table.stack([without.rejected, rejected(group, tests)]))
+
+
+def _adjusted(
+    blocks: Mapping[str, Block], group: Group, others: Sequence[Group], datum: Datum | None, options: Options
+) -> AdjustedImages:
+    """Adjust image points as `adjust_images`, with all targets.
+
     Gross errors are removed before the first adjustment. Then the outliers whose tests do not depend on each other are
     removed and the rest adjusted again, until no reading exceeds the bound: roughly first, at the end exactly. Raises
     InputError if most readings are far from any solution.
@@ -162,7 +185,7 @@ def adjust_images(
     def begun(tests: Array, state: Mapping[str, Block]) -> _KeptImagePoints:
         kept = group.selected(np.flatnonzero(tests == 0))
         return _KeptImagePoints(
-            Used(tests), kept, _without_lost_views(state, kept), _ROUGH if options.remove_outliers else _EXACT
+            Used(tests), kept, without_lost_views(state, kept), _ROUGH if options.remove_outliers else _EXACT
         )
 
     def fewer(using: _KeptImagePoints, solved: _Solved) -> tuple[_KeptImagePoints, bool]:
@@ -176,7 +199,7 @@ def adjust_images(
         left = _KeptImagePoints(
             using.used.without(suspected, out),
             rest,
-            _without_lost_views(solved.solution.blocks, rest),
+            without_lost_views(solved.solution.blocks, rest),
             # rough as long as outliers are found; a last adjustment is exact
             using.within if out.size else _EXACT,
         )
@@ -207,18 +230,8 @@ def adjust_images(
         must_fit(typical(solved.group, solved.solution.blocks), options.image_size)
     noise = float(np.sqrt(np.mean(solved.group.observations.sigma**2))) if options.estimate_noise else None
     suspected = solved.suspects(not options.estimate_noise)
-    return AdjustedImages(
-        solved.solution, solved.group, solved.residuals, _rejected(group, using.used.tests), suspected, noise
-    )
-
-
-def _without_lost_views(blocks: Mapping[str, Block], group: Group) -> Mapping[str, Block]:
-    """Return the blocks; the pose of an image that lost all readings is not an unknown: nothing else depends on it."""
-    view = blocks.get("view")
-    if view is None:
-        return blocks
-    left = np.bincount(group.observations.index["view"], minlength=len(view.members)) > 0
-    return blocks if left.all() else {**blocks, "view": replace(view, free=view.free & left[:, None])}
+    out = rejected(group, using.used.tests)
+    return AdjustedImages(solved.solution, solved.group, solved.residuals, out, suspected, noise)
 
 
 def is_lost(middle: float, image_size: tuple[int, int]) -> bool:
@@ -277,23 +290,9 @@ def must_converge(solution: Solution, noticed: Sequence[str] = ()) -> None:
         raise NotConvergedError(f"{solution.outcome.value} ({solution.iterations} steps){hint}", solution.misfit)
 
 
-def apart_from_others(group: Group, rest: AdjustedImages) -> list[str]:
-    """Return the images most of whose readings were left out of an adjustment, which `rest` is."""
-    wrong, fitting = Counter(rest.rejected.texts("image")), Counter(rest.group.observations.keys["image"])
-    images = dict.fromkeys(group.observations.keys["image"])
-    return [name for name in images if wrong[name] > fitting[name]]
-
-
 def _noise(residuals: Residuals, group: Group) -> float:
     """Return sigma0 of the image points alone, `sqrt(v'Pv / sum r)` with redundancy numbers r (variance component)."""
     whitened = group.observations.whitened(residuals.values)
     # the image points alone: lists and priors beside them have a noise of their own
     controlled = float(residuals.redundancy.sum())
     return float(np.sqrt((whitened**2).sum() / controlled)) if controlled > 0 else 1.0
-
-
-def _rejected(group: Group, tests: Array) -> Table:
-    """Return the table `rejected` of the readings left out, from the test value w of each reading (n,), 0 if used."""
-    rows, keys = np.flatnonzero(tests), group.observations.keys
-    columns = {f"{key} [text]": [keys[key][i] for i in rows] for key in ("image", "target")}
-    return Table.of({**columns, "u v [px]": group.observations.readings[:, rows].T, "w": tests[rows]})

@@ -27,6 +27,7 @@ from metrocli.tasks.shared.statistics import (
     with_tests,
 )
 from metrocli.uncertainty.predicted import POINTS_COVARIANCE
+from metrocli.words import counted, listed
 
 _VIEW_SUSPECT = 2.5
 """A warning names images whose RMS is more than this many times the median."""
@@ -129,8 +130,12 @@ def image_warnings(
     if views is not None:
         rms = views.numbers("rms") / _stated_ratios(adjusted.group, sighted.images)
         lines += suspect_images(sighted.images, rms, views.numbers("readings"))
-    gone = _named(adjusted.rejected)
-    return lines + left_out(gone) + suspect_readings(adjusted.suspects, adjusted.group)
+    wrong = np.isfinite(adjusted.rejected.numbers("w"))
+    lines += left_out(_named(adjusted.rejected.selected(wrong)))
+    if lost := list(dict.fromkeys(adjusted.rejected.selected(~wrong).texts("target"))):
+        few = f"{counted(len(lost), 'target', 'are')} placed by fewer than two right readings"
+        lines.append(f"left out: {few}: {listed(lost)}")
+    return lines + suspect_readings(adjusted.suspects, adjusted.group)
 
 
 def _stated_ratios(group: Group, images: Sequence[str]) -> Array:
