@@ -89,6 +89,12 @@ def test_a_wrong_scale_and_a_mistaken_point_are_no_wrong_sigma(tmp_path: Path, m
     assert {one["name"] for one in found["effects"]} == {"part-expansion", "moved-point"}
 
 
+def test_higher_orders_of_a_large_effect_get_no_names_where_points_are_few(tmp_path: Path, metrocli: Metrocli) -> None:
+    skewed = np.array([[1.0, 0, 0.1], [0, 1, 0], [0, 0, 1]])
+    found = json.loads(metrocli("diagnose", written(tmp_path, np.copy, lambda xyz: xyz @ skewed.T), "--json").out)
+    assert [one["name"] for one in found["effects"]] == ["machine-squareness"] and found["verdict"] == "explained"
+
+
 def test_nothing_is_named_without_a_cause(tmp_path: Path, metrocli: Metrocli) -> None:
     assert json.loads(metrocli("diagnose", written(tmp_path, np.copy), "--json").out)["verdict"] == "clean"
 
