@@ -130,7 +130,7 @@ def commanded(machine: Machine, table: Table) -> Array:
     ]
     if faults and machine.turns and _fits_otherwise(machine, table):
         # a fault without row and hint: a task then tries what may be wrong in the file
-        raise InputError([table.fault(f"{len(faults)} positions are outside the ranges of their axes")])
+        raise InputError([table.fault(f"{len(faults)} positions are outside the ranges; first: {faults[0].message}")])
     if faults:
         more = [table.fault(f"and {len(faults) - 5} more such rows")] if len(faults) > 5 else []
         raise InputError(faults[:5] + more)
@@ -138,13 +138,12 @@ def commanded(machine: Machine, table: Table) -> Array:
 
 
 def _fits_otherwise(machine: Machine, table: Table) -> bool:
-    """Return whether all angles lie in the ranges of the axes if two are exchanged, or if gon are called degrees."""
+    """Return whether all angles lie in the ranges of the axes if two are exchanged, in gon, or of the other sign."""
     turning = [axis for axis in machine.axes if isinstance(axis, RotaryAxis)]
     read = [table.numbers(axis.letter.lower()) for axis in turning]
-    return any(
-        all(_inside(axis, factor * own) for axis, own in zip(turning, angles, strict=True))
-        for factor, angles in ((1.0, read[::-1]), (_GON, read))
-    )
+    others = [read[::-1], [_GON * own for own in read]]
+    others += [[-own if k == at else own for k, own in enumerate(read)] for at in range(len(read))]
+    return any(all(map(_inside, turning, angles)) for angles in others)
 
 
 def _inside(axis: RotaryAxis, angle: Array) -> bool:
