@@ -223,6 +223,7 @@ def test_a_tracker_that_was_pushed_is_named(folder: Path, metrocli: Metrocli) ->
     assert float(cells[half - 1][t]) < size["at"]["value"] < float(cells[half][t])
     moved = [size[f"d{axis}"]["value"] for axis in "xyz"]
     assert abs(np.linalg.norm(moved) - 1.5) < 4 * size["dx"]["std"] < 0.01
+    assert metrocli("calibrate-machine", found["extended_job"]).code == 0
 
 
 @pytest.mark.slow
