@@ -41,11 +41,9 @@ def is_dominated(state: State) -> bool:
     columns of the job's own blocks, such as a term of a lens, bends beside the others: only about its own solution
     differs it from those that look alike (docs/decisions/264-terms-of-a-lens-bend.md).
     """
-    m = state.measurement
     old, new = _old_and_new(state)
-    if any(m.alternative(part.key).effect.link is None for part in new):
-        return True
-    return bool(new) and _mean_square(state, old) > _DOMINANT * _mean_square(state, state.named)
+    own = any(state.measurement.alternative(part.key).effect.link is None for part in new)
+    return own or (bool(new) and _mean_square(state, old) > _DOMINANT * _mean_square(state, state.named))
 
 
 @dataclass(frozen=True)
@@ -95,10 +93,8 @@ def _is_smoothed(state: State) -> bool:
     """
     m = state.measurement
     has_terms = any(family.effect.link is None for family in m.families if family.alternatives)
-    if not has_terms:
-        return False
     smooth = [part for part in state.random if part.kind != SCATTER or m.scatters[part.key[0]][0].effect.is_smooth]
-    return bool(smooth) and state.minus(smooth).variance > _DOMINANT * state.variance
+    return has_terms and bool(smooth) and state.minus(smooth).variance > _DOMINANT * state.variance
 
 
 def _old_and_new(state: State) -> tuple[list[Fixed], list[Fixed]]:

@@ -28,8 +28,6 @@ Key = tuple[int, int]
 """Family and number of an effect"""
 _RULED_OUT = 1e-3
 """Probability below which a fold leaves an effect out: what it adds is nearly always nothing"""
-_SAME = 1e-6
-"""Difference of net gains that is rounding"""
 _FEWEST = 4
 """Fewest units from whose scatter a variance is taken"""
 _RATHER_LARGE = 2.0
@@ -133,7 +131,7 @@ class _Nested:
             if own.any() and (best := float(nets[own].max())) > net:
                 net, key = best, (number, int(np.argmax(np.where(own, nets, -np.inf))))
             # between which two of the held-out readings something jumped the others do not say: all such jumps are one
-            if number == name.key[0] and nets[name.key[1]] > net - _SAME:
+            if number == name.key[0] and np.isclose(nets[name.key[1]], net):
                 key = name.key
         weight = float(np.exp(net - np.logaddexp.reduce([0.0, net, rival])))
         if weight < _RULED_OUT:

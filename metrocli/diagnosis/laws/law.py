@@ -140,9 +140,7 @@ def near_effects(state: State, shown: Array) -> tuple[tuple[Candidate, float], .
     Each is at its best place and with its best scanned values; the nearest comes first.
     """
     size, nearest = float(shown @ shown), dict[str, tuple[Candidate, float]]()
-    for number, family in enumerate(state.measurement.families):
-        if family.unknown:
-            continue
+    for number, family in ((at, one) for at, one in enumerate(state.measurement.families) if not one.unknown):
         # beside wrong readings too, of which what the law explains is free
         inside, _ = quadratic(state.left(number)[0], family.columns.products(shown[:, None])[:, :, 0], family.raw)
         best = int(np.argmax(inside))
