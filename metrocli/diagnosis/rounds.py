@@ -26,8 +26,8 @@ from metrocli.errors import UndeterminedError
 from metrocli.frozen import dataclass
 
 _ROUNDS = 4
-_DOMINANT, _MANY = 4.0, 50
-"""Effects are dominant if they lower the mean square by this factor, with at least so many degrees of freedom"""
+_DOMINANT = 4.0
+"""Effects are dominant if they lower the mean square by this factor"""
 _RIVAL, _RIVALS = 0.1, 3
 """Share of the net gain of a term of a lens from which others are tried in its place, and how many"""
 _MOST_OF_IT = 0.01
@@ -41,14 +41,9 @@ def is_dominated(state: State) -> bool:
     columns of the job's own blocks, such as a term of a lens, bends beside the others: only about its own solution
     differs it from those that look alike (docs/decisions/264-terms-of-a-lens-bend.md).
     """
-    m = state.measurement
     old, new = _old_and_new(state)
-    # with few degrees of freedom any effect lowers the mean square so far
-    if not new or m.dof < _MANY:
-        return False
-    if any(m.alternative(part.key).effect.link is None for part in new):
-        return True
-    return State.of(m, old).variance > _DOMINANT * State.of(m, state.named).variance
+    own = any(state.measurement.alternative(part.key).effect.link is None for part in new)
+    return own or (bool(new) and _mean_square(state, old) > _DOMINANT * _mean_square(state, state.named))
 
 
 @dataclass(frozen=True)
@@ -86,12 +81,9 @@ def is_overwhelmed(state: State) -> bool:
     The search does not go on then. It does where many explain the misfit together: without the correlated errors that
     take their place later, most of them would be wrong, and the unknowns adjusted with them as well.
     """
-    m = state.measurement
     old, new = _old_and_new(state)
-    if not new or m.dof < _MANY:
-        return False
-    before = State.of(m, old).variance
-    return any(before > _DOMINANT * State.of(m, [*old, part]).variance for part in new)
+    before = _mean_square(state, old) if new else 0.0
+    return any(before > _DOMINANT * _mean_square(state, [*old, part]) for part in new)
 
 
 def _is_smoothed(state: State) -> bool:
@@ -101,10 +93,8 @@ def _is_smoothed(state: State) -> bool:
     """
     m = state.measurement
     has_terms = any(family.effect.link is None for family in m.families if family.alternatives)
-    if not has_terms or m.dof < _MANY:
-        return False
     smooth = [part for part in state.random if part.kind != SCATTER or m.scatters[part.key[0]][0].effect.is_smooth]
-    return bool(smooth) and state.minus(smooth).variance > _DOMINANT * state.variance
+    return has_terms and bool(smooth) and state.minus(smooth).variance > _DOMINANT * state.variance
 
 
 def _old_and_new(state: State) -> tuple[list[Fixed], list[Fixed]]:

@@ -58,4 +58,5 @@ def test_a_right_sigma_of_targets_is_not_called_wrong(noise: float, tmp_path: Pa
 def test_a_wrong_sigma_of_targets_is_named_with_its_factor(tmp_path: Path, metrocli: Metrocli) -> None:
     out = metrocli("diagnose", write(tmp_path, DECLARED, 3 * SIGMA)).out
     (line,) = [one for one in out.splitlines() if "times their sigma: correct the sigma" in one]
+    assert line.strip().removesuffix(": correct the sigma.")[1:] in out.splitlines()[0]
     assert 2.4 < float(line.partition("off by ")[2].split()[0]) < 3.6

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -28,6 +28,7 @@ def headline(diagnosis: Diagnosis) -> str:
     groups = [noisier(unit) for unit in diagnosis.variance_groups if unit.key != DECLARED_SIGMA]
     several = f"{len(groups)} groups of readings are noisier or quieter than the others (below)"
     limits += groups if len(groups) <= _MOST_GROUPS else [several]
+    limits += _given_wrongly(diagnosis)
     if diagnosis.left is None and diagnosis.job.noise_model != STRUCTURED:
         # one that chance makes often is listed below, and no reason for alarm
         limits += [
@@ -113,7 +114,12 @@ def noise_lines(diagnosis: Diagnosis) -> Iterator[str]:
     elif readings:
         each = "; ".join(f"{_named(unit)} {unit.ratio:.2g}" for unit in readings)
         yield f"  Times as noisy as the others, each relative to what is declared for it: {each}{weighted}."
-    yield from _given([unit for unit in diagnosis.variance_groups if unit.key == DECLARED_SIGMA], noise.ratio)
+    given, wrong = [unit for unit in diagnosis.variance_groups if unit.key == DECLARED_SIGMA], _given_wrongly(diagnosis)
+    right = [unit for unit in given if _is_right(unit, noise.ratio)]
+    if right:
+        kinds = in_a_row([unit.name.removeprefix("prior of ") for unit in right])
+        yield f"  The given values of each {kinds} agree with their sigma; the ratio is that of the readings alone."
+    yield from (f"  T{words[1:]}: correct the sigma." for words in wrong)
 
 
 def _named(unit: VarianceGroup) -> str:
@@ -125,13 +131,13 @@ def noisier(unit: VarianceGroup) -> str:
     return f"{_named(unit)} is {unit.ratio:.2g} times as noisy as the others"
 
 
-def _given(units: Sequence[VarianceGroup], noise: float) -> Iterator[str]:
-    """Yield whether the residuals agree with the sigma of given values; `noise` is the ratio of that of the others."""
-    right = [unit for unit in units if 1 / AS_OTHERS < unit.ratio * noise < AS_OTHERS]
-    if right:
-        kinds = in_a_row([unit.name.removeprefix("prior of ") for unit in right])
-        yield f"  The given values of each {kinds} agree with their sigma; the ratio is that of the readings alone."
-    for unit in units:
-        if unit not in right:
-            what = f"The given values of each {unit.name.removeprefix('prior of ')}"
-            yield f"  {what} are off by {unit.ratio * noise:.2g} times their sigma: correct the sigma."
+def _is_right(given: VarianceGroup, noise: float) -> bool:
+    """Return whether the residuals agree with the sigma of given values; `noise` is the ratio of that of the others."""
+    return 1 / AS_OTHERS < given.ratio * noise < AS_OTHERS
+
+
+def _given_wrongly(diagnosis: Diagnosis) -> list[str]:
+    """Return in words by how much given values are off where that does not agree with their sigma."""
+    noise, given = diagnosis.noise.ratio, (unit for unit in diagnosis.variance_groups if unit.key == DECLARED_SIGMA)
+    off = [(unit.name.removeprefix("prior of "), unit.ratio * noise) for unit in given if not _is_right(unit, noise)]
+    return [f"the given values of each {kind} are off by {times:.2g} times their sigma" for kind, times in off]

@@ -219,6 +219,10 @@ def noisier_groups(state: State) -> list[tuple[float, int, float]]:
         return []
     taken, r = state.absorbed, state.residual
     for number, (kind, _, rows) in enumerate(m.units):
+        own = float(rows.sum()) - float(taken[rows].sum())
+        # the noise of all that shows any is that of the job: exact readings beside it have none to compare it with
+        if state.noise_freedoms - own < 1:
+            continue
         # a group that has its own noise already costs nothing more
         price = 0.0 if number in m.noise else m.price_of_noise
         if kind == DECLARED_SIGMA and rows.sum() <= _MOST_GIVEN:
@@ -226,7 +230,6 @@ def noisier_groups(state: State) -> list[tuple[float, int, float]]:
             if gain > price:
                 noisier.append((gain - price, number, ratio))
                 continue
-        own = float(rows.sum()) - float(taken[rows].sum())
         s = float(r[rows] @ r[rows])
         ratio, gain = state.own_noise(own, s)
         if gain:

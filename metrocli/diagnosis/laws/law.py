@@ -140,8 +140,9 @@ def near_effects(state: State, shown: Array) -> tuple[tuple[Candidate, float], .
     Each is at its best place and with its best scanned values; the nearest comes first.
     """
     size, nearest = float(shown @ shown), dict[str, tuple[Candidate, float]]()
-    for family in (pair for pair in state.measurement.families if not pair.unknown):
-        inside, _ = quadratic(family.gram, family.columns.products(shown[:, None])[:, :, 0], family.raw)
+    for number, family in ((at, one) for at, one in enumerate(state.measurement.families) if not one.unknown):
+        # beside wrong readings too, of which what the law explains is free
+        inside, _ = quadratic(state.left(number)[0], family.columns.products(shown[:, None])[:, :, 0], family.raw)
         best = int(np.argmax(inside))
         cosine = float(np.sqrt(min(inside[best] / max(size, 1e-300), 1.0)))
         before = nearest[family.name][1] if family.name in nearest else _LEAST

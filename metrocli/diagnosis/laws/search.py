@@ -18,11 +18,13 @@ from metrocli.diagnosis.evidence.gain import FoldPrediction, Gain, gain_of
 from metrocli.diagnosis.evidence.held_out import Others
 from metrocli.diagnosis.evidence.parts import Fixed
 from metrocli.diagnosis.evidence.prices import ALIKE, Prices
+from metrocli.diagnosis.evidence.scored import EXACT
 from metrocli.diagnosis.evidence.search import without_weak_fixed
 from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.laws.law import Law, law_of
 from metrocli.diagnosis.laws.library import Library, Term
 from metrocli.diagnosis.laws.steps import NEAR, Lawful, among_terms, forward
+from metrocli.diagnosis.noise import noise_of
 from metrocli.frozen import dataclass
 
 _LAW = float(np.log(30.0))
@@ -55,7 +57,8 @@ def with_laws(state: State, plain: State, ordered: Ordered = map) -> tuple[State
         lawful = start and forward(start, 0.0)
         if start and lawful and lawful.steps and (best is None or lawful.state.score > best[0].state.score):
             best = lawful, base, start
-    if best is None or best[0].state.score < state.score + _LAW:
+    # beside a law there is noise: `x += X` undoes the positions, and nothing is left that could contradict it
+    if best is None or best[0].state.score < state.score + _LAW or noise_of(best[0].state).ratio ** 2 < EXACT:
         return state, ()
     lawful, base, start = best
     gains = _gains(lawful, start, ordered)

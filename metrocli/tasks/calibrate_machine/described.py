@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 
 import numpy as np
 
@@ -113,11 +113,12 @@ def commanded(machine: Machine, table: Table) -> Array:
     margin = np.array([np.radians(_OUTSIDE) if axis.turns else _OUTSIDE for axis in machine.axes])
     low, high = (machine.low - margin)[:, None], (machine.high + margin)[:, None]
     outside = (position < low) | (position > high)
-    if outside.any() and machine.turns and _fits_otherwise(machine, table):
-        # a fault without row and hint: a task then tries what may be wrong in the file
-        raise InputError([table.fault(f"{outside.sum()} positions are outside the ranges of their axes")])
     each = zip(machine.axes, position, outside, strict=True)
-    raise_if(fault for axis, own, rows in each for fault in _faults_outside(axis, own, rows, table))
+    faults = [fault for axis, own, rows in each for fault in _faults_outside(axis, own, rows, table)]
+    if faults and machine.turns and _fits_otherwise(machine, table):
+        # a fault without row and hint: a task then tries what may be wrong in the file
+        raise InputError([table.fault(f"{outside.sum()} positions are outside the ranges; first: {faults[0].message}")])
+    raise_if(faults)
     return position
 
 
@@ -132,13 +133,12 @@ def _faults_outside(axis: Axis, position: Array, rows: Mask, table: Table) -> li
 
 
 def _fits_otherwise(machine: Machine, table: Table) -> bool:
-    """Return whether all angles lie in the ranges of the axes if two are exchanged, or if gon are called degrees."""
+    """Return whether all angles lie in the ranges of the axes if two are exchanged, in gon, or of the other sign."""
     turning = turning_axes(machine)
     read = [table.numbers(axis.key) for axis in turning]
-    return any(
-        all(_inside(axis, factor * own) for axis, own in zip(turning, angles, strict=True))
-        for factor, angles in ((1.0, read[::-1]), (_GON, read))
-    )
+    others = [read[::-1], [_GON * own for own in read]]
+    others += [[-own if k == at else own for k, own in enumerate(read)] for at in range(len(read))]
+    return any(all(map(_inside, turning, angles)) for angles in others)
 
 
 def _inside(axis: RotaryAxis, angle: Array) -> bool:
@@ -163,7 +163,7 @@ def _outside(axis: Axis, position: float, table: Table) -> str:
     return f"write {placed(axis, turned[0])}, the same place, or {wider}" if turned else wider
 
 
-def raise_if(faults: Iterator[Fault]) -> None:
+def raise_if(faults: Iterable[Fault]) -> None:
     """Raise InputError with the faults, if there are any."""
     listed = list(faults)
     if listed:

@@ -59,7 +59,10 @@ def other_settings(job: Job[Settings, Files], fits: bool) -> Iterator[tuple[Mist
 
 
 def _rotary_positions(job: Job[Settings, Files]) -> Iterator[tuple[Mistake, Job[Settings, Files]]]:
-    """Yield positions of rotary axes with the other sign or in another unit in the rows of one ball or tool."""
+    """Yield positions of rotary axes with the other sign or in another unit in the rows of one ball or tool.
+
+    Those of all rows only where they are outside the range of their axis: else it counts the other way (`sense`).
+    """
     for key in ("points", "lengths", "probing"):
         table: Table | None = getattr(job.files, key)
         names = [letter.lower() for letter in ANGLES if table is not None and letter.lower() in table]
@@ -67,14 +70,21 @@ def _rotary_positions(job: Job[Settings, Files]) -> Iterator[tuple[Mistake, Job[
             continue
         sources = product(names, parts(table, np.ones(len(table))))
         turning = [(name, *source) for name, source in sources if np.ptp(table.numbers(name)[source[1]])]
-        for name, where, rows in turning if len(turning) <= _MOST_LINES * len(names) else ():
-            of_source = f"{table.headings.get(name, name)} {where}"
+        turning = turning if len(turning) <= _MOST_LINES * len(names) else []
+        ranges = {letter.lower(): axis.range for letter, axis in job.settings.machine.axes.turning.items()}
+        of_all = [name for name in names if name in ranges and not _within(table.numbers(name), *ranges[name])]
+        for name, where, rows in (*((name, "", np.ones(len(table), dtype=bool)) for name in of_all), *turning):
+            of_source = f"{table.headings.get(name, name)} {where}".strip()
             words, write = f"{of_source} has the wrong sign", f"{of_source} with the other sign"
             turned = np.where(rows, -table.numbers(name), table.numbers(name))
             mistake = Mistake(key, words, write, file=table.file, sort="rotary positions")
             yield mistake, job.with_files(**{key: table.changed({name: turned})})
         for mistake, scaled in other_scales(key, table, [*([name] for name in names), names]):
             yield replace(mistake, sort="rotary positions"), job.with_files(**{key: scaled})
+
+
+def _within(angle: Array, low: float, high: float) -> bool:
+    return bool(low <= angle.min() and angle.max() <= high)
 
 
 def _zenith(job: Job[Settings, Files]) -> Iterator[tuple[Mistake, Job[Settings, Files]]]:

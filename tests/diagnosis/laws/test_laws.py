@@ -199,6 +199,11 @@ def test_effects_that_nearly_contain_a_law_are_named_with_their_cosine(found: Di
     assert best.spot == ("dead-path-drift", ("T3",))
     assert cosine == pytest.approx(1 / np.sqrt(1 + 0.25**2))
     assert near_effects(State.of(m), column + 3 * other) == ()
+    # what a law explains is free of wrong readings: those that show the effect most had made it look like another one
+    wrong = np.argsort(-np.abs(column[m.places]).max(axis=1))[:3]
+    beside = State.of(m, [m.reading(int(number)) for number in wrong])
+    (best, cosine), *_ = near_effects(beside, beside.seen(column))
+    assert best.spot == ("dead-path-drift", ("T3",)) and cosine == pytest.approx(1.0)
 
 
 def test_the_law_is_a_definition_without_fault(found: Diagnosis) -> None:

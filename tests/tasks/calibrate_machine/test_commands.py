@@ -207,6 +207,25 @@ def test_backlash_is_found_along_lines_that_go_to_and_fro(folder: Path, metrocli
     assert max(figures.numbers("B")[[0, 2]]) < 0.0025
 
 
+def test_a_tracker_that_was_pushed_is_named(folder: Path, metrocli: Metrocli) -> None:
+    """A step of 3 um had passed for a drift, and one of 1 mm for the pitch of a screw, with wrong points."""
+    job = made(folder, STANDSTILL, metrocli)
+    head, *rows = (folder / "points.csv").read_text().splitlines()
+    names, cells = head.split(","), [row.split(",") for row in rows]
+    at, half = names.index("mx_mm"), len(rows) // 2
+    for row in cells[half:]:
+        row[at : at + 3] = [f"{float(cell) + step:.9f}" for cell, step in zip(row[at:], (1.0, -1.0, 0.5), strict=False)]
+    (folder / "points.csv").write_text("\n".join([head, *map(",".join, cells)]) + "\n")
+    found = json.loads(metrocli("diagnose", job, "--json").out)
+    assert [one["name"] for one in found["effects"]] == ["tracker-moved"] and not found["outliers"]
+    size = found["effects"][0]["parameters"]
+    t = names.index("t_s")
+    assert float(cells[half - 1][t]) < size["at"]["value"] < float(cells[half][t])
+    moved = [size[f"d{axis}"]["value"] for axis in "xyz"]
+    assert abs(np.linalg.norm(moved) - 1.5) < 4 * size["dx"]["std"] < 0.01
+    assert metrocli("calibrate-machine", found["extended_job"]).code == 0
+
+
 @pytest.mark.slow
 def test_time_of_a_laser_shows_drift_and_what_it_cannot_see_is_told(folder: Path, metrocli: Metrocli) -> None:
     job = made(folder, LINES, metrocli)

@@ -25,6 +25,7 @@ MISTAKES: dict[str, tuple[str, Edit, str]] = {
     "c in gon": ("data/after.csv", times(GON, "c_deg"), "write c_gon in the heading"),
     "all in gon": ("data/after.csv", times(GON, "a_deg", "c_deg"), "write a_gon and c_gon in the heading"),
     "headings": ("data/after.csv", put("a_deg,c_deg", "c_deg,a_deg"), "write c for a and a for c in the headings"),
+    "sign": ("data/after.csv", times(-1, "a_deg"), "write a_deg with the other sign"),
     "order": ("jobs/after.yaml", put("wCAbXYZt", "wACbXYZt"), "write chain: wCAbXYZt"),
     "tool": ("jobs/after.yaml", put("0 mm, -120 mm]}", "0 mm, 120 mm]}"), "z of T1 has the wrong sign"),
     "twice": ("data/after.csv", lambda text: text + "".join(text.splitlines(keepends=True)[1:]), "remove the copy"),
@@ -35,7 +36,7 @@ MISTAKES: dict[str, tuple[str, Edit, str]] = {
     ),
     "half a turn": ("jobs/after.yaml", put("[0 deg, 360 deg]", "[-180 deg, 180 deg]"), "or `periodic: true`"),
 }
-SLOW = ("c in radians", "c in gon", "headings", "order", "tool")
+SLOW = ("c in radians", "c in gon", "headings", "sign", "order", "tool")
 
 
 @pytest.mark.parametrize("name", [pytest.param(one, marks=pytest.mark.slow if one in SLOW else ()) for one in MISTAKES])

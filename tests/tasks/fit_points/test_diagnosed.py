@@ -76,6 +76,25 @@ def test_the_cause_is_named_with_its_size(
         assert abs(given["value"] - about - value) < 4 * u < 0.2, (parameter, given)
 
 
+def test_a_wrong_scale_and_a_mistaken_point_are_no_wrong_sigma(tmp_path: Path, metrocli: Metrocli) -> None:
+    """Nominal places that are exact show no noise with which that of the measured ones could be compared."""
+    job = written(tmp_path, lambda nominal: (nominal + np.outer(np.arange(12) == 3, [200, -150, 60])) * 1.05)
+    job.write_text(JOB.replace("noise: 20 um\n", ""))
+    for name, sigma in (("measured", 0.02), ("nominal", 0)):
+        head, *rows = (tmp_path / f"{name}.csv").read_text().splitlines()
+        rows = [f"{head},sigma_mm", *(f"{row},{sigma}" for row in rows)]
+        (tmp_path / f"{name}.csv").write_text("\n".join(rows) + "\n")
+    found = json.loads(metrocli("diagnose", job, "--json").out)
+    assert not found["noise"]["apart"] and found["verdict"] == "explained"
+    assert {one["name"] for one in found["effects"]} == {"part-expansion", "moved-point"}
+
+
+def test_higher_orders_of_a_large_effect_get_no_names_where_points_are_few(tmp_path: Path, metrocli: Metrocli) -> None:
+    skewed = np.array([[1.0, 0, 0.1], [0, 1, 0], [0, 0, 1]])
+    found = json.loads(metrocli("diagnose", written(tmp_path, np.copy, lambda xyz: xyz @ skewed.T), "--json").out)
+    assert [one["name"] for one in found["effects"]] == ["machine-squareness"] and found["verdict"] == "explained"
+
+
 def test_nothing_is_named_without_a_cause(tmp_path: Path, metrocli: Metrocli) -> None:
     assert json.loads(metrocli("diagnose", written(tmp_path, np.copy), "--json").out)["verdict"] == "clean"
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from metrocli.adjust.model.quantities import Quantity
-from metrocli.effects.effect import ELAPSED, WARMING, Effect, Parameter, sizes
+from metrocli.effects.effect import ELAPSED, WARMING, Effect, Parameter, change_points, sizes
 from metrocli.effects.links.angles import OnPoint
 from metrocli.effects.links.motions import LineTerm, ZeroDrift
 from metrocli.effects.links.points import Shift
@@ -37,12 +37,25 @@ OF_THE_TRACKER: tuple[Effect, ...] = (
         VELOCITY,
         lambda block, where: Shift(block, Quantity.POINT_IN_MACHINE, sign=-1.0, condition=ELAPSED),
         needs=("t",),
-        confused_with=("machine-drift", "thermal-growth"),
+        confused_with=("machine-drift", "tracker-moved", "thermal-growth"),
         formula="point in the machine -= (vx, vy, vz) t    # along the axes of the machine",
         note="For a single tracker it is machine-drift with the opposite sign.",
         usual="1 to 60 um/h",
         reveal="a second reflector, fixed on the table: its readings change with the tracker, not with the machine",
         source=SCHWENKE,
+    ),
+    Effect(
+        "tracker-moved",
+        "the tracker was pushed, or its stand settled, while the machine was measured",
+        sizes("dx dy dz", "length", "1 mm"),
+        lambda block, where: Shift(block, Quantity.POINT_IN_MACHINE, sign=-1.0, since="t"),
+        scanned=(Parameter("at", "time", grid=change_points),),
+        needs=("t",),
+        confused_with=("tracker-drift", "machine-drift"),
+        formula="point in the machine -= (dx, dy, dz) for t >= at    # along the axes of the machine",
+        usual="10 um to 1 mm",
+        reveal="the first points again at the end, or a second reflector, fixed on the table, throughout",
+        source="Baarda 1968 (mean shift of some readings)",
     ),
 )
 """Effects on the readings of the tracker, and on its stand"""
