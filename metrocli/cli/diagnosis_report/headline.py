@@ -112,7 +112,7 @@ def noise_lines(diagnosis: Diagnosis) -> Iterator[str]:
     if len(readings) == 1:
         yield f"  {noisier(readings[0])}, each relative to what is declared for it{weighted}."
     elif readings:
-        each = "; ".join(f"{_named(unit)} {unit.ratio:.2g}" for unit in readings)
+        each = "; ".join(f"{_named(unit)} {units.two_digits(unit.ratio)}" for unit in readings)
         yield f"  Times as noisy as the others, each relative to what is declared for it: {each}{weighted}."
     given, wrong = [unit for unit in diagnosis.variance_groups if unit.key == DECLARED_SIGMA], _given_wrongly(diagnosis)
     right = [unit for unit in given if _is_right(unit, noise.ratio)]
@@ -128,7 +128,7 @@ def _named(unit: VarianceGroup) -> str:
 
 def noisier(unit: VarianceGroup) -> str:
     """Return in words that a unit is noisier, or quieter, than the others, relative to what is declared for each."""
-    return f"{_named(unit)} is {unit.ratio:.2g} times as noisy as the others"
+    return f"{_named(unit)} is {units.two_digits(unit.ratio)} times as noisy as the others"
 
 
 def _is_right(given: VarianceGroup, noise: float) -> bool:
@@ -139,5 +139,6 @@ def _is_right(given: VarianceGroup, noise: float) -> bool:
 def _given_wrongly(diagnosis: Diagnosis) -> list[str]:
     """Return in words by how much given values are off where that does not agree with their sigma."""
     noise, given = diagnosis.noise.ratio, (unit for unit in diagnosis.variance_groups if unit.key == DECLARED_SIGMA)
-    off = [(unit.name.removeprefix("prior of "), unit.ratio * noise) for unit in given if not _is_right(unit, noise)]
-    return [f"the given values of each {kind} are off by {times:.2g} times their sigma" for kind, times in off]
+    wrong = [unit for unit in given if not _is_right(unit, noise)]
+    sizes = [(unit.name.removeprefix("prior of "), units.two_digits(unit.ratio * noise)) for unit in wrong]
+    return [f"the given values of each {kind} are off by {size} times their sigma" for kind, size in sizes]
