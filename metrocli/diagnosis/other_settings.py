@@ -68,16 +68,15 @@ def with_other_setting(job: AdjustedJob, others: Others) -> Mistaken | None:
         return None
     if as_good and (as_many or ratio * _OTHER_FITS < 1):
         return None
-    if as_many and f_tail(dof, dof, _mean_square(_with_effects(job), size) / max(after, 1e-12)) > _BY_CHANCE:
+    # a column in another unit is a slip, without a size that could be fitted; a setting was written on purpose
+    on_purpose = as_many and not mistake.file
+    if on_purpose and f_tail(dof, dof, _mean_square(_with_effects(job), size) / max(after, 1e-12)) > _BY_CHANCE:
         return None
     return Mistaken((mistake,), other, float(np.sqrt(before)), float(np.sqrt(after)), job.left_out)
 
 
 def _with_effects(job: AdjustedJob) -> AdjustedJob:
-    """Return the job with the effects in its model that explain most.
-
-    A setting was written on purpose: an effect that explains as much as another one is the likelier cause.
-    """
+    """Return the job with the effects in its model that explain most: likelier than a setting that does no better."""
     # most jobs never come here, and these load much (docs/decisions/154-loaded-where-used.md)
     from metrocli.diagnosis.evidence.identified import all_identified
     from metrocli.diagnosis.evidence.measured_job import measurement_of
