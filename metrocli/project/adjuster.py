@@ -53,8 +53,8 @@ def _outliers(job: JobFile) -> str:
     settings: Any = job.settings
     if not hasattr(settings, "outliers"):
         return ""
-    refused = any(key == "outliers" for key, _ in replace(settings, outliers=REMOVE).faults())
-    return "" if refused else str(settings.outliers)
+    faults = getattr(replace(settings, outliers=REMOVE), "faults", tuple)
+    return "" if any(key == "outliers" for key, _ in faults()) else str(settings.outliers)
 
 
 def others_of(job: JobFile, inputs: Mapping[str, object], adjust: Adjuster) -> Others:
