@@ -12,6 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from metrocli import units
 from metrocli.adjust.adjustment import StoppingRule, adjust
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.solution import Solution
@@ -66,10 +67,10 @@ def turned_images(problem: CameraProblem, adjusted: AdjustedImages) -> list[str]
     names = [name for name, is_turned in zip(problem.sighted.images, turned, strict=True) if is_turned]
     values = better.blocks[camera.LENS].named()
     f = "f" if "f" in values else "fx"
-    rest = len(turned) - len(names)
+    rest, times = len(turned) - len(names), units.two_digits(ratio)
     return [
         f"{counted(len(names), 'image', 'are')} turned by 180 degrees, or the {rest} others are: {listed(names)}; "
-        f"turned back, their squared residuals are {ratio:.2g} times smaller and {f} = {values[f]:.1f} px; save all "
+        f"turned back, their squared residuals are {times} times smaller and {f} = {values[f]:.1f} px; save all "
         "images as the camera wrote them"
     ]
 

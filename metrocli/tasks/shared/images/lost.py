@@ -38,7 +38,8 @@ def lost_targets(block: Block, whole: Group, used: Group, others: Sequence[Group
     )
     lost = (left < _PLACED) & (left < read) & np.broadcast_to(block.free, block.values.shape).any(axis=1)
     for group in others:
-        lost[np.unique(group.observations.index.get(TARGET, []))] = False
+        if TARGET in group.observations.index:
+            lost[group.observations.index[TARGET]] = False
     return np.asarray(lost)
 
 
