@@ -270,7 +270,7 @@ def _must_be_held(state: State, more: int) -> None:
         raise InputError(
             f"diagnose finds more than {MOST_NUMBERS // rows} wrong readings and effects in {rows} readings: "
             "it fits them together, which needs too much memory\n"
-            "remove the wrong readings first: write `outliers: remove` in the job"
+            "run the job with `outliers: remove`, and take the readings of its table `rejected` out of the file"
         )
 
 
