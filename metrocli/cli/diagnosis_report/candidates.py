@@ -29,18 +29,18 @@ def candidate_lines(adjusted: AdjustedJob, design: Detectability, found: Conclus
     Where a cause is not tested, these have the same reason, too. With None nothing was looked for yet: what residuals
     would exclude is `detectable`.
     """
-    open_yet = found is None
+    unsearched = found is None
     found = found or status.NOTHING
     rows: dict[tuple[str, str, str], list[DetectableCandidate]] = {}
     for candidate in design.candidates:
         word = str(status.status(candidate, found))
-        word = "detectable" if open_yet and word == status.Status.EXCLUDED else word
+        word = "detectable" if unsearched and word == status.Status.EXCLUDED else word
         why = status.reason(candidate, word) if word == status.Status.NOT_DECIDED else ""
         rows.setdefault((candidate.alternative.effect.form, word, why), []).append(candidate)
     lines = [_line(adjusted, design, name, word, candidates) for (name, word, _), candidates in rows.items()]
     for scatter in design.scatters:
-        lines.append(_of_scatter(adjusted, scatter, status.status(scatter, found), open_yet))
-    lines += [_of_readings(adjusted, reading, open_yet, found.decided) for reading in design.readings]
+        lines.append(_of_scatter(adjusted, scatter, status.status(scatter, found), unsearched))
+    lines += [_of_readings(adjusted, reading, unsearched, found.decided) for reading in design.readings]
     alike: dict[tuple[str, str], list[str]] = {}
     for untested in design.not_tested:
         alike.setdefault((untested.effect.form, untested.reason), []).append("/".join(untested.where.values()))
@@ -103,21 +103,21 @@ def _status(word: str, sizes: Sequence[float], parameter: Parameter) -> str:
     return f"{word} {between[word]} {_span(min(sizes), max(sizes), parameter)}" if word in between else word
 
 
-def _of_scatter(adjusted: AdjustedJob, scatter: ScatterCandidate, word: str, open_yet: bool) -> tuple[str, ...]:
+def _of_scatter(adjusted: AdjustedJob, scatter: ScatterCandidate, word: str, unsearched: bool) -> tuple[str, ...]:
     if not scatter.testable:
         return scatter.effect.name, "everywhere", str(word), "", "", scatter.reason
-    message = "detectable" if open_yet and word == status.Status.EXCLUDED else str(word)
+    message = "detectable" if unsearched and word == status.Status.EXCLUDED else str(word)
     message = _status(message, [scatter.detectable], scatter.effect.parameters[0])
     usual, hides = status.usual_beside(scatter.effect, scatter.detectable), _hidden(adjusted, scatter.undetected)
     why = status.reason_of_scatter(scatter, word) if word == status.Status.NOT_DECIDED else ""
     return scatter.effect.name, "everywhere", message, usual, hides, why or "sizes are standard deviations"
 
 
-def _of_readings(adjusted: AdjustedJob, wrong: WrongReading, open_yet: bool, decided: bool) -> tuple[str, ...]:
+def _of_readings(adjusted: AdjustedJob, wrong: WrongReading, unsearched: bool, decided: bool) -> tuple[str, ...]:
     name = wrong.effect.name
     if not wrong.testable:
         return name, "one reading", str(status.Status.NOT_TESTABLE), "", "", status.UNCHECKED
-    word = "detectable" if open_yet else str(status.Status.EXCLUDED if decided else status.Status.NOT_DECIDED)
+    word = "detectable" if unsearched else str(status.Status.EXCLUDED if decided else status.Status.NOT_DECIDED)
     word = _status(word, wrong.between if decided else (), wrong.effect.parameters[0])
     why = "larger ones are listed as wrong readings" if decided else status.ENDED
     why += f"; {counted(wrong.unchecked, 'reading', 'are')} checked by no other" if wrong.unchecked else ""
