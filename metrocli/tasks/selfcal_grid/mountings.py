@@ -12,6 +12,7 @@ from itertools import permutations, product
 
 import numpy as np
 
+from metrocli import units
 from metrocli.arrays import Array, Index, Mask
 from metrocli.errors import Fault, InputError
 from metrocli.frozen import dataclass
@@ -245,7 +246,8 @@ def _astray(readings: GridReadings, n: int, seen: Observed, pitch: float) -> lis
         distance = float(np.linalg.norm(off[k])) * pitch
         other = not np.array_equal(nearest, ball) and (readings.balls == nearest).all(axis=1).any()
         meant = f", where {ball_name(nearest)} stands" if other else ""
-        text = f"{ball_name(ball)} of view '{view.name}' is read {distance:.3g} mm from its place{meant}"
+        away = units.sized(distance, "length")
+        text = f"{ball_name(ball)} of view '{view.name}' is read {away} from its place{meant}"
         faults.append(readings.table.fault_at(row, text))
     return faults
 
