@@ -83,7 +83,7 @@ CASES: dict[str, tuple[str, Callable[[Rows], Rows], str]] = {
     "an odd angle": ("x, angle: 90 deg=x, angle: 45 deg", lambda rows: rows, "only multiples of 90 deg"),
     "a name twice": ("name: \"4\"=name: \"3\"", lambda rows: rows, "two views have the name '3'"),
     "a reading off by a metre": ("", set_cell(9, 4, "870.0"), "views.csv:11: error: ball (-2, -1, 2) of view '1' is read 1000 mm from its place\n"),
-    "a reading in another row's place": ("", set_cell(9, 5, "0.0"), "views.csv:11: error: ball (-2, -1, 2) of view '1' is read 65.38 mm from its place, where ball (-2, 0, 2) stands"),
+    "a reading in another row's place": ("", set_cell(9, 5, "0.0"), "views.csv:11: error: ball (-2, -1, 2) of view '1' is read 65.4 mm from its place, where ball (-2, 0, 2) stands"),
 }  # fmt: skip
 
 
