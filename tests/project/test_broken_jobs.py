@@ -105,11 +105,12 @@ def test_a_broken_job_is_refused_in_its_place(
 
 def test_all_faults_are_told_at_once_in_order(job: Path, metrocli: Callable[..., object]) -> None:
     job.write_text(
-        HEAD + "inputs: {readings: nope.csv, images: '*.png'}\nnoise: 0.1\nestimate: [slop]\nweigt: 1\noutput: x\n"
+        HEAD
+        + "inputs: {readings: nope.csv, images: '*.png'}\nnoise: 0.1\nestimate: [slop, slob]\nweigt: 1\noutput: x\n"
     )
     ran = metrocli("check", job)
     places = [line.split(": error")[0] for line in ran.err.splitlines() if ": error: " in line]
-    assert places == [f"line.yaml:{at}" for at in ("3:20", "3:38", "4:8", "5:12", "6:1", "7:9")]
+    assert places == [f"line.yaml:{at}" for at in ("3:20", "3:38", "4:8", "5:12", "5:18", "6:1", "7:9")]
 
 
 def test_the_caret_stands_under_the_fault(job: Path, metrocli: Callable[..., object]) -> None:
