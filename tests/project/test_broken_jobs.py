@@ -120,6 +120,21 @@ def test_the_caret_stands_under_the_fault(job: Path, metrocli: Callable[..., obj
     assert lines[2].startswith("       |        ^ allowed: mm")
 
 
+@pytest.mark.parametrize("command", ["check", "multilaterate", "diagnose"])
+def test_a_fault_of_a_row_shows_the_row(command: str, job: Path, metrocli: Callable[..., object]) -> None:
+    job.write_text("""metrocli: 1
+job: multilaterate
+inputs: {lengths: lengths.csv, points: points.csv}
+noise: {constant: 1 um}
+output: r.h5
+""")
+    Path("lengths.csv").write_text("point,tracer,length_mm\na,A,5\nb,A,6\n")
+    Path("points.csv").write_text("# by hand\npoint,x_mm,y_mm,z_mm,sigma_mm\na,0,0,0,0\nb, 1,0,0,-2\n")
+    ran = metrocli(command, job)
+    row = "points.csv:4: error: a standard deviation is negative, in column 'sigma_mm'\n     4 | b, 1,0,0,-2\n"
+    assert (ran.code, ran.err) == (3, row)
+
+
 def test_a_file_that_is_not_utf8_is_refused(job: Path, metrocli: Callable[..., object]) -> None:
     job.write_bytes(GOOD.encode() + "title: 5 µm\n".encode("latin-1"))
     ran = metrocli("check", job)
