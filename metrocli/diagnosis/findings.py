@@ -164,7 +164,12 @@ class Finding:
     @property
     def instead(self) -> tuple[str, ...]:
         """What explains the readings as well, in words."""
-        return (*(str(rival.alternative) for rival in self.effect.rivals), *map(str, self.noise))
+        # effects that explain them together only are listed once
+        together = {
+            frozenset(map(str, (rival.alternative, *rival.beside))): str(rival)
+            for rival in reversed(self.effect.rivals)
+        }
+        return (*reversed(together.values()), *map(str, self.noise))
 
 
 @dataclass(frozen=True)

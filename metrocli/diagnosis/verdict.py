@@ -150,7 +150,9 @@ def _effect(job: AdjustedJob, finding: Finding) -> dict[str, Any]:
         "p_value": float(np.exp(name.log_level)),
         "alternatives": [
             *(
-                _named(rival.alternative) | {"correlation": rival.correlation, "odds": rival.odds}
+                _named(rival.alternative)
+                | {"correlation": None if rival.beside else rival.correlation, "odds": rival.odds}
+                | ({"with": [*map(_named, rival.beside)]} if rival.beside else {})
                 for rival in name.rivals
             ),
             *(asdict(noise) | {"correlation": None} for noise in finding.noise),
