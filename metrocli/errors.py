@@ -24,7 +24,7 @@ class Fault:
     line: int | None = None
     column: int | None = None
     source: str | None = None
-    """The offending line of the file, shown above the caret."""
+    """The offending line of the file, shown above the caret, which stands under a column only."""
     hint: str | None = None
     """What was expected, or the nearest known word."""
 
@@ -32,9 +32,10 @@ class Fault:
         place = ":".join(str(part) for part in (self.file, self.line, self.column) if part not in (None, ""))
         text = f"{place}: error: {self.message}" if place else f"error: {self.message}"
         if self.source is not None and self.line is not None:
-            start, (cut, shown) = self._start, self._shown(self.source)
-            hint = f" {self.hint}" if self.hint else ""
-            return f"{text}\n{self.line:6d} | {shown}\n       | {' ' * (start - cut)}^{hint}"
+            cut, shown = self._shown(self.source)
+            caret = "" if self.column is None else f"{' ' * (self._start - cut)}^ "
+            below = f"{caret}{self.hint or ''}".rstrip()
+            return f"{text}\n{self.line:6d} | {shown}" + (f"\n       | {below}" if below else "")
         return f"{text}\n       {self.hint}" if self.hint else text
 
     @property

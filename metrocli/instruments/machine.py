@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import field
 from functools import cached_property
 
@@ -41,9 +41,12 @@ def is_angle(name: str) -> bool:
     return name[1] in ANGLES or name in SQUARENESS_NAMES
 
 
-def canonical(name: str) -> str:
-    """Return the name of an error as in ISO 230-1; COY, BOZ and AOZ are taken for C0Y, B0Z and A0Z."""
-    return name.replace("O", "0") if name in ("COY", "BOZ", "AOZ") else name
+def spellings(names: Iterable[str]) -> dict[str, str]:
+    """Return the names of errors by other spellings: E_X0C, as indices are written, and EC0Y or COY for C0Y."""
+    return {
+        **{f"E_{name.removeprefix('E')}": name for name in names},
+        **{form: name for name in SQUARENESS_NAMES for form in (f"E{name}", name.replace("0", "O"))},
+    }
 
 
 @dataclass(frozen=True)

@@ -45,7 +45,7 @@ from metrocli.nodes import Node, node_of, relocated, with_entry
 from metrocli.progress import SILENT, Named, Progress, counted
 from metrocli.project import yaml_text
 from metrocli.project.adjuster import adjuster, cleared, others_of
-from metrocli.project.inputs import read_inputs
+from metrocli.project.inputs import placed, read_inputs
 from metrocli.project.job import JobFile, JobOptions, load
 from metrocli.project.runner import counting, simulate
 from metrocli.simulation import SimulationOptions
@@ -60,6 +60,7 @@ _DIGEST = "# sha256 of the lines below, by which diagnose sees whether they were
 """Begin of its second line"""
 
 
+@placed
 def adjusted_job_of(job: JobFile) -> AdjustedJob:
     """Return the adjusted job as diagnosis takes it; raise UsageError if its kind has no diagnosis."""
     held, without_outliers = read_inputs(job), cleared(job)
@@ -71,6 +72,7 @@ def adjusted_job_of(job: JobFile) -> AdjustedJob:
         return without_outliers(held)
 
 
+@placed
 def carry_out(
     job: JobFile,
     progress: Progress = SILENT,

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
+from functools import wraps
+from linecache import getline
 from pathlib import Path
-from typing import Any
+from typing import Any, Concatenate, ParamSpec, TypeVar
 
 from metrocli.errors import Fault, InputError
 from metrocli.formats.file_bytes import FileBytes, read_bytes
@@ -15,6 +17,9 @@ from metrocli.project.job import JobFile
 from metrocli.project.named_files import Input
 from metrocli.record import USABLE, InputFile
 from metrocli.settings import ANY_KIND, FileOf, ImageFiles, MeshFile, TableFile
+
+P = ParamSpec("P")
+T = TypeVar("T")
 
 
 def read_inputs(job: JobFile, absent: Collection[str] = ()) -> dict[str, Any]:
@@ -112,6 +117,25 @@ def _read_one(spec: Any, path: Path, item: Input, folder: Path) -> tuple[Any, In
         own = _recorded(held, path.parent, record.content)
         return replace(result, made_from=(own, *record.inputs)), _recorded(held, folder, record.content)
     raise TypeError(f"no reader for {spec}")
+
+
+def placed(function: Callable[Concatenate[JobFile, P], T]) -> Callable[Concatenate[JobFile, P], T]:
+    """Return a function of a job whose faults show the row of a table, or name the job file if they have no place."""
+
+    @wraps(function)
+    def carry_out(job: JobFile, /, *given: P.args, **named: P.kwargs) -> T:
+        try:
+            return function(job, *given, **named)
+        except InputError as error:
+            raise InputError([_placed(fault, str(job.file)) for fault in error.faults]) from error
+
+    return carry_out
+
+
+def _placed(fault: Fault, job: str) -> Fault:
+    if fault.line is None or fault.source is not None:
+        return replace(fault, file=fault.file or job)
+    return replace(fault, source=getline(fault.file, fault.line).rstrip() or None)
 
 
 def input_files(job: JobFile) -> tuple[InputFile, ...]:

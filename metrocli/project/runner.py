@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Collection, Iterable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Collection, Iterable, Mapping
+from contextlib import suppress
 from dataclasses import fields, replace
 from datetime import UTC, datetime
 from functools import partial
@@ -24,7 +24,7 @@ from metrocli.frozen import dataclass
 from metrocli.plan import Plan
 from metrocli.progress import SILENT, Named, Progress
 from metrocli.project import fingerprint
-from metrocli.project.inputs import read_inputs, read_with_files, unfit_inputs
+from metrocli.project.inputs import placed, read_inputs, read_with_files, unfit_inputs
 from metrocli.project.job import JobFile
 from metrocli.project.named_files import absolute
 from metrocli.project.requirements import by_names, decisions, figures_of
@@ -97,8 +97,7 @@ def compute(
     if kind.chunked:
         finished = ChunkFolder(file.output.with_suffix(".chunks"))
         job = replace(job, workers=replace(workers, finished=finished, tell=progress.count))
-    with _placed(file):
-        result = _sound(file, job, progress)
+    result = _sound(file, job, progress)
     result = replace(
         result,
         title=result.title or file.heading.title,
@@ -124,6 +123,7 @@ def counting(held: Mapping[str, Any], progress: Progress) -> dict[str, Any]:
     }
 
 
+@placed
 def _sound(file: JobFile, job: Job[Any, Any], progress: Progress) -> Result:
     """Return the result of a job; raise InputError if a file fits far better when it is read in another way."""
     from metrocli.diagnosis.mistakes import misread, suspicious
@@ -197,6 +197,7 @@ def _job(file: JobFile, held: Mapping[str, Any]) -> Job[Any, Any]:
     return tasks.KINDS[file.kind].task().job(file.settings, effects=file.effects, **held)
 
 
+@placed
 def verify(file: JobFile, renewed: Collection[Path] = ()) -> None:
     """Raise InputError for faults of a job's inputs, and if settings and inputs do not fit together.
 
@@ -209,14 +210,13 @@ def verify(file: JobFile, renewed: Collection[Path] = ()) -> None:
         for item in file.inputs
         if not all(path.exists() for path in item.paths) or any(absolute(path) in renewed for path in item.paths)
     ]
-    with _placed(file):
-        held = read_inputs(file, missing)
-        if not missing:
-            _require_named(file, held)
-        check = tasks.KINDS[file.kind].task().check
-        if check is not None and not missing:
-            with suppress(UndeterminedError, NotConvergedError):
-                check(_job(file, held))
+    held = read_inputs(file, missing)
+    if not missing:
+        _require_named(file, held)
+    check = tasks.KINDS[file.kind].task().check
+    if check is not None and not missing:
+        with suppress(UndeterminedError, NotConvergedError):
+            check(_job(file, held))
 
 
 def _require_named(file: JobFile, held: Mapping[str, Any]) -> None:
@@ -238,22 +238,13 @@ def known_figures(file: JobFile, held: Mapping[str, Any]) -> dict[str, str]:
     return by_names(figures_of(file.kind, file.settings, file.effects), names)
 
 
-@contextmanager
-def _placed(file: JobFile) -> Iterator[None]:
-    """Name the job file in faults that have no place of their own."""
-    try:
-        yield
-    except InputError as error:
-        if all(fault.file for fault in error.faults):
-            raise
-        raise InputError([replace(fault, file=fault.file or str(file.file)) for fault in error.faults]) from error
-
-
+@placed
 def answer(file: JobFile, question: str) -> Table:
     """Return the answer to a question (`compare`, ...) about a job; nothing is written."""
     return tasks.KINDS[file.kind].task().answers[question](content(file))
 
 
+@placed
 def simulate(file: JobFile, options: SimulationOptions) -> Simulation:
     """Return the measurement that the model of a job predicts."""
     kind = tasks.KINDS[file.kind]
@@ -263,6 +254,7 @@ def simulate(file: JobFile, options: SimulationOptions) -> Simulation:
     return simulated(content(replace(file, effects=planted(file.effects)), kind.measured), options)
 
 
+@placed
 def plan(file: JobFile) -> Plan:
     """Return the plan of the measurement that a job describes."""
     kind = tasks.KINDS[file.kind]

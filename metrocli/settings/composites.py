@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import make_dataclass
+from itertools import compress
 from typing import Any
 
 from metrocli.errors import Fault
@@ -36,7 +37,8 @@ class ListOf:
         if self.length is not None and len(node.items) != self.length:
             return refuse(self, node, faults, f"the list has {len(node.items)} values instead of {self.length}")
         values = tuple(self.item.read(item, faults) for item in node.items)
-        repeated = [item for n, item in enumerate(node.items) if self.distinct and values[n] in values[:n]]
+        again = [self.distinct and value is not BAD and value in values[:n] for n, value in enumerate(values)]
+        repeated = [*compress(node.items, again)]
         faults.extend(item.fault(f"{node.path}: '{item.text}' is in the list twice") for item in repeated)
         return BAD if repeated or BAD in values else values
 

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from types import MappingProxyType
 from typing import Any, Protocol
 
 from metrocli import units
@@ -94,10 +95,10 @@ class Flag(OfText):
 
 
 class Choice(OfText):
-    """One of a few words."""
+    """One of a few words; `also` are other spellings of some of them."""
 
-    def __init__(self, *words: str) -> None:
-        self.words = words
+    def __init__(self, *words: str, also: Mapping[str, str] = MappingProxyType({})) -> None:
+        self.words, self.also = words, also
 
     @property
     def expects(self) -> str:
@@ -106,12 +107,12 @@ class Choice(OfText):
     def read(self, node: Node, faults: list[Fault]) -> Any:
         if not self.fits(node):
             return refuse(self, node, faults)
-        if node.text in self.words:
-            return node.text
+        if (word := self.also.get(node.text, node.text)) in self.words:
+            return word
         return refuse(self, node, faults, f"unknown word '{node.text}'", suggestion(node.text, self.words))
 
     def schema(self) -> Schema:
-        return {"enum": list(self.words)}
+        return {"enum": [*self.words, *self.also]}
 
 
 _COMMA = re.compile(r"[+-]?[0-9]*,[0-9]+")

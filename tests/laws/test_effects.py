@@ -185,6 +185,16 @@ def test_derivatives_by_the_other_unknowns_are_differences(entry: tuple[str, Eff
         assert np.abs(total - expected).max() <= bound, name
 
 
+@pytest.mark.parametrize("entry", [(kind, one) for kind, all_of in TABLES.items() for one in all_of if one.is_step])
+def test_a_step_acts_on_all_later_readings(entry: tuple[str, Effect]) -> None:
+    """`diagnose` takes a step at any time from that at the first reading."""
+    kind, effect = entry
+    before = model_of(kind, effect)
+    late, early = (of_free(with_one(kind, effect, known), before) for known in ({}, {effect.scanned[0].name: -1e9}))
+    acts = late.any(axis=1)
+    assert acts.any() and np.allclose(early[acts], late[acts])
+
+
 def test_what_is_planted_is_found(entry: tuple[str, Effect]) -> None:
     kind, effect = entry
     truth = with_one(kind, effect, size(effect))

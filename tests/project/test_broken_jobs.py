@@ -105,11 +105,12 @@ def test_a_broken_job_is_refused_in_its_place(
 
 def test_all_faults_are_told_at_once_in_order(job: Path, metrocli: Callable[..., object]) -> None:
     job.write_text(
-        HEAD + "inputs: {readings: nope.csv, images: '*.png'}\nnoise: 0.1\nestimate: [slop]\nweigt: 1\noutput: x\n"
+        HEAD
+        + "inputs: {readings: nope.csv, images: '*.png'}\nnoise: 0.1\nestimate: [slop, slob]\nweigt: 1\noutput: x\n"
     )
     ran = metrocli("check", job)
     places = [line.split(": error")[0] for line in ran.err.splitlines() if ": error: " in line]
-    assert places == [f"line.yaml:{at}" for at in ("3:20", "3:38", "4:8", "5:12", "6:1", "7:9")]
+    assert places == [f"line.yaml:{at}" for at in ("3:20", "3:38", "4:8", "5:12", "5:18", "6:1", "7:9")]
 
 
 def test_the_caret_stands_under_the_fault(job: Path, metrocli: Callable[..., object]) -> None:
@@ -117,6 +118,21 @@ def test_the_caret_stands_under_the_fault(job: Path, metrocli: Callable[..., obj
     lines = metrocli("check", job).err.splitlines()
     assert lines[1] == "     4 | noise: 0.1 kg"
     assert lines[2].startswith("       |        ^ allowed: mm")
+
+
+@pytest.mark.parametrize("command", ["check", "multilaterate", "diagnose"])
+def test_a_fault_of_a_row_shows_the_row(command: str, job: Path, metrocli: Callable[..., object]) -> None:
+    job.write_text("""metrocli: 1
+job: multilaterate
+inputs: {lengths: lengths.csv, points: points.csv}
+noise: {constant: 1 um}
+output: r.h5
+""")
+    Path("lengths.csv").write_text("point,tracer,length_mm\na,A,5\nb,A,6\n")
+    Path("points.csv").write_text("# by hand\npoint,x_mm,y_mm,z_mm,sigma_mm\na,0,0,0,0\nb, 1,0,0,-2\n")
+    ran = metrocli(command, job)
+    row = "points.csv:4: error: a standard deviation is negative, in column 'sigma_mm'\n     4 | b, 1,0,0,-2\n"
+    assert (ran.code, ran.err) == (3, row)
 
 
 def test_a_file_that_is_not_utf8_is_refused(job: Path, metrocli: Callable[..., object]) -> None:

@@ -23,7 +23,7 @@ from metrocli.diagnosis.evidence.products import products_of
 from metrocli.diagnosis.linear.quadratics import solved
 from metrocli.frozen import dataclass
 
-EXACT, _EXACT_OF_ALL = 1e-10, 1e-15
+_EXACT, _EXACT_OF_ALL = 1e-10, 1e-15
 """Variance of rounding, in the declared one and in that before anything was named"""
 TRIAL = 2
 """Steps of the sizes in a trial"""
@@ -101,7 +101,7 @@ class Scored:
     def is_exact(self) -> bool:
         """Whether what it leaves is the rounding of numbers, in which there is nothing to find."""
         m = self.measurement
-        return self.variance < max(EXACT, _EXACT_OF_ALL * m.squares / m.dof)
+        return self.variance < max(_EXACT, _EXACT_OF_ALL * m.squares / m.dof)
 
     @cached_property
     def score(self) -> float:

@@ -21,6 +21,8 @@ from metrocli.frozen import dataclass
 
 _SEEN, _STEPS = 0.5, 400
 """Least change of a reading that is shown beside a law, of that of the most changed; steps of the curve of a law"""
+_UNDONE = 0.5
+"""Share of a coordinate that no cause adds to it"""
 _LEAST, _MOST = 0.9, 2
 """Smallest cosine of an effect that is reported as nearly the law, and the largest number of them"""
 
@@ -77,6 +79,14 @@ class Law:
     The best comes first.
     """
     chosen: bool = False
+
+    @property
+    def undoes_positions(self) -> bool:
+        """Whether it adds much of a coordinate to this one, as `x += X`: it undoes positions that are wrong."""
+        return any(
+            term.form.powers_of() == {term.spot.component.upper(): 1} and abs(size[0]) > _UNDONE
+            for term, size in zip(self.terms, self.sizes, strict=True)
+        )
 
 
 def law_of(lawful: Lawful, base: State, gain: Gain, instead: State) -> Law:

@@ -18,13 +18,11 @@ from metrocli.diagnosis.evidence.gain import FoldPrediction, Gain, gain_of
 from metrocli.diagnosis.evidence.held_out import Others
 from metrocli.diagnosis.evidence.parts import Fixed
 from metrocli.diagnosis.evidence.prices import ALIKE, Prices
-from metrocli.diagnosis.evidence.scored import EXACT
 from metrocli.diagnosis.evidence.search import without_weak_fixed
 from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.laws.law import Law, law_of
 from metrocli.diagnosis.laws.library import Library, Term
 from metrocli.diagnosis.laws.steps import NEAR, Lawful, among_terms, forward
-from metrocli.diagnosis.noise import noise_of
 from metrocli.frozen import dataclass
 
 _LAW = float(np.log(30.0))
@@ -57,8 +55,7 @@ def with_laws(state: State, plain: State, ordered: Ordered = map) -> tuple[State
         lawful = start and forward(start, 0.0)
         if start and lawful and lawful.steps and (best is None or lawful.state.score > best[0].state.score):
             best = lawful, base, start
-    # beside a law there is noise: `x += X` undoes the positions, and nothing is left that could contradict it
-    if best is None or best[0].state.score < state.score + _LAW or noise_of(best[0].state).ratio ** 2 < EXACT:
+    if best is None or best[0].state.score < state.score + _LAW:
         return state, ()
     lawful, base, start = best
     gains = _gains(lawful, start, ordered)
@@ -66,7 +63,7 @@ def with_laws(state: State, plain: State, ordered: Ordered = map) -> tuple[State
     chosen = max(simpler, key=lambda law: law.gain.log_score)
     # few readings predict held-out ones badly: then large evidence is enough, if they do not speak against it
     surely = best[0].state.score > state.score + _SURELY and chosen.gain.log_score > 0
-    if not (chosen.gain.shown or surely) or _is_named(chosen, state):
+    if not (chosen.gain.shown or surely) or chosen.undoes_positions or _is_named(chosen, state):
         return state, ()
     as_likely = _as_likely(start, lawful.terms[0])
     terms = [part for _, part in lawful.steps[: len(chosen.terms)]]

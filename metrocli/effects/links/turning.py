@@ -10,7 +10,7 @@ from metrocli.arrays import Array
 from metrocli.effects.effect import ELAPSED
 from metrocli.effects.links.motions import PLACE, THETA, TURNING, OnAxis, waves
 from metrocli.frozen import dataclass
-from metrocli.instruments.axes.kinematics import FIRST_SEEN, ON_WORKPIECE
+from metrocli.instruments.axes.kinematics import ON_WORKPIECE
 from metrocli.instruments.axes.rotary import ANGLE
 
 
@@ -109,11 +109,7 @@ class LoadUnbalance(OnAxis):
 
 @dataclass(frozen=True)
 class BallMoves(OfBlock):
-    """A point on the workpiece stands elsewhere from a time on: `b += d`; columns dx, dy, dz [mm], at [s].
-
-    Without a reading before that time it did not move: it was there from the start, and no calibrated distance of it
-    belongs to another place.
-    """
+    """A point on the workpiece stands elsewhere from a time on: `b += d`; columns dx, dy, dz [mm], at [s]."""
 
     varies = ON_WORKPIECE
     takes = gives = Quantity.PARAMETERS
@@ -121,7 +117,7 @@ class BallMoves(OfBlock):
     def step(self, value: Array, local: LinkContext) -> Step:
         """Return the point (3, n)."""
         rows = np.broadcast_to(local.rows(self.block), (4, value.shape[1]))
-        later = _step(local, rows[3]) * (local.observations.conditions[FIRST_SEEN] < rows[3])
+        later = _step(local, rows[3])
         by_block = np.zeros((3, 4, len(later)))
         by_block[:, :3] = np.eye(3)[:, :, None] * later
         return Step(value + rows[:3] * later, np.eye(3)[:, :, None] * np.ones(len(later)), {self.block: by_block})

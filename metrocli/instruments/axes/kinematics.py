@@ -25,8 +25,6 @@ ON_WORKPIECE = "on workpiece"
 OF_WORKPIECE, OF_TOOL = "of workpiece", "of tool"
 """Conditions: the shares of a point on the workpiece and of one at the tool in a reading from the bed. They are 0 and
 1, 1 and 0, or 1 and -1 for a ball against a probe."""
-FIRST_SEEN = "first seen"
-"""Condition: time at which the point of a reading was read for the first time [s]"""
 _Path = Sequence[tuple[int, bool]]
 """Numbers of axes from the instrument to a point, and whether each is passed from its workpiece side to its tool's"""
 

@@ -19,7 +19,7 @@ from metrocli.adjust.model.quantities import Quantity
 from metrocli.arrays import Array, Index, Mask
 from metrocli.frozen import dataclass
 from metrocli.instruments.axes.joints import JointMotion, turn
-from metrocli.instruments.machine import ANGLES, AXES, Axis, Machine, bracket, errors_of
+from metrocli.instruments.machine import ALL_NAMES, ANGLES, AXES, Axis, Machine, bracket, errors_of
 
 SPINDLE = "spindle"
 SPINDLE_NAMES = ("EA0S", "EB0S", "EC0S")
@@ -41,7 +41,7 @@ def location_names(letter: str) -> tuple[str, ...]:
 
 LOCATIONS = tuple(name for letter in ANGLES for name in location_names(letter))
 ROTARY_ERRORS = tuple(name for letter in ANGLES for name in errors_of(letter))
-ROTARY_NAMES = (*ROTARY_ERRORS, *LOCATIONS, *SPINDLE_NAMES)
+NAMES = (*ALL_NAMES, *ROTARY_ERRORS, *LOCATIONS, *SPINDLE_NAMES)
 
 
 @dataclass(frozen=True)

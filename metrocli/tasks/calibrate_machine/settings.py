@@ -7,8 +7,8 @@ from typing import Any, ClassVar
 
 from metrocli.frozen import dataclass
 from metrocli.instruments.axes.chain import WORDS, errors_by_word
-from metrocli.instruments.axes.rotary import LOCATIONS, ROTARY_NAMES, SPINDLE_NAMES
-from metrocli.instruments.machine import ALL_NAMES, ANGLES, AXES, SQUARENESS_NAMES, canonical, is_angle
+from metrocli.instruments.axes.rotary import LOCATIONS, NAMES, SPINDLE_NAMES
+from metrocli.instruments.machine import ANGLES, AXES, SQUARENESS_NAMES, is_angle, spellings
 from metrocli.settings import Choice, Either, Flag, ListOf, Section, Whole, WithUnit, setting, settings_of
 from metrocli.tasks.calibrate_machine.files import Inputs
 from metrocli.tasks.calibrate_machine.machine_settings import (
@@ -127,7 +127,7 @@ class Settings:
         Section(MachineNoise), "standard deviations of the readings; points of a network have theirs", MachineNoise()
     )
     estimate: str | tuple[str, ...] = setting(
-        Either(Choice(*WORDS), ListOf(Choice(*ALL_NAMES, "COY", "BOZ", "AOZ", *ROTARY_NAMES, *WORDS), distinct=True)),
+        Either(Choice(*WORDS), ListOf(Choice(*NAMES, *WORDS, also=spellings(NAMES)), distinct=True)),
         "errors to estimate; the others are taken as zero",
         default="all",
     )
@@ -189,7 +189,7 @@ class Settings:
         if self.method not in TURNING:
             letters = tuple(letter for letter in letters if letter not in ANGLES)
         words = errors_by_word(letters)
-        return tuple(dict.fromkeys(word for name in names for word in words.get(name, (canonical(name),))))
+        return tuple(dict.fromkeys(word for name in names for word in words.get(name, (name,))))
 
     @property
     def scales(self) -> dict[str, Warm]:
@@ -217,7 +217,7 @@ class Settings:
         if self.method == PROBING and not self.machine.turns:
             yield "method", "probing calibrates rotary axes: name them in the chain, such as wCAbXYZt"
         if not self.estimated:
-            yield "estimate", "the list is empty: leave the key out to estimate all errors, or name some, such as EXX"
+            yield "estimate", "it names no error of the axes: leave the key out for all, or name some, such as EXX"
         for letter in self.scales:
             if f"E{letter}{letter}" not in self.estimated:
                 yield (

@@ -318,7 +318,15 @@ def test_what_cannot_be_told_apart_is_refused(folder: Path, metrocli: Metrocli) 
         ),
         ("method: standstill", "method: standstill\nvolume: {circle: 5 m}", "no plane has room for this radius"),
         ("method: standstill", "method: standstill\nestimate: [EXX, EXQ]", "unknown word 'EXQ'"),
-        ("method: standstill", "method: standstill\nestimate: []", "the list is empty"),
+        ("method: standstill", "method: standstill\nestimate: []", "it names no error of the axes"),
+        *(
+            (
+                "method: standstill",
+                f"method: standstill\nestimate: [{name}, {other}]",
+                f"'{other}' is in the list twice",
+            )
+            for name, other in [("C0Y", "EC0Y"), ("C0Y", "COY"), ("C0Y", "E_C0Y"), ("EXX", "E_XX"), ("EX0C", "E_X0C")]
+        ),
         ("tools: {T1", "tool: [0 mm, 0 mm, 0 mm]\n  tools: {T1", "both tool and tools are given"),
         ("120 mm]", "120]", "120 has no unit"),
         ("x: {range", "u: {range", "unknown key 'u'"),

@@ -187,8 +187,3 @@ def test_a_block_gives_back_the_tables_it_was_made_from() -> None:
         raw = axis.block_of(machine.tables, m.ALL_NAMES).values
         for k, name in enumerate(m.errors_of(letter)):
             assert np.abs(axis.from_raw[k] @ raw[:, k] - machine.tables[name]).max() < 1e-15
-
-
-@pytest.mark.parametrize(("written", "meant"), [("COY", "C0Y"), ("AOZ", "A0Z"), ("BOZ", "B0Z"), ("EXX", "EXX")])
-def test_misprints_of_squareness_are_read(written: str, meant: str) -> None:
-    assert m.canonical(written) == meant

@@ -62,7 +62,7 @@ def lengths(settings: Settings, table: Table, files: Files = NO_FILES) -> Machin
         conditions={
             **readings.conditions,
             t.ALONE: (stops == 0).astype(float),
-            **(measured.conditions | measured.first_seen(table) if machine.turns else {}),
+            **(measured.conditions if machine.turns else {}),
         },
     )
     places = np.ascontiguousarray(nominal.T)

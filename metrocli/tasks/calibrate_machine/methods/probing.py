@@ -52,7 +52,7 @@ def probing(settings: Settings, table: Table, files: Files) -> MachineProblem:
         np.full(1, settings.noise.probing or 0.0),
         machine.index(position) | targets.index,
         keys=keys_of(table),
-        conditions=conditions(machine, position, table, place) | shares | targets.first_seen(table),
+        conditions=conditions(machine, position, table, place) | shares,
         components=("x", "y", "z"),
         unit="mm",
     )

@@ -72,7 +72,7 @@ def standstill(settings: Settings, points: Table, files: Files = NO_FILES) -> Ma
         keys={"point": tuple(points.texts("point"))},
         conditions=conditions(machine, position, points, places if machine.turns else None)
         | faces(points)
-        | (reflectors.conditions | reflectors.first_seen(points) if machine.turns else {}),
+        | (reflectors.conditions if machine.turns else {}),
         components=("x", "y", "z"),
         unit="mm",
     )

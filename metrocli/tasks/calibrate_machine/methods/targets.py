@@ -15,7 +15,6 @@ from metrocli.arrays import Array, Index, Mask
 from metrocli.errors import InputError
 from metrocli.frozen import dataclass
 from metrocli.instruments.axes.kinematics import (
-    FIRST_SEEN,
     OF_TOOL,
     OF_WORKPIECE,
     ON_WORKPIECE,
@@ -79,17 +78,6 @@ class MeasuredTargets:
             return ()
         statement = f"{listed(names)} {'has one reading each' if names[1:] else 'has one reading'}"
         return (f"{statement}: it gives the place of the {block.noun}, and nothing of the machine",)
-
-    def first_seen(self, table: Table) -> dict[str, Array]:
-        """Return when the target of each reading was read for the first time, if the file has times."""
-        if "t" not in table:
-            return {}
-        # below 0: a point on the workpiece and a tool may have the same number
-        target = np.where(self.on_workpiece, -1 - self.fixed, self.tool)
-        _, number = np.unique(target, return_inverse=True)
-        first = np.full(number.max() + 1, np.inf)
-        np.minimum.at(first, number, table.numbers("t"))
-        return {FIRST_SEEN: first[number]}
 
     def used(self, names: Sequence[str]) -> tuple[str, ...]:
         """Return the tools that have readings; the first one where only points on the workpiece are read."""
