@@ -34,7 +34,7 @@ class Verdict(StrEnum):
     INDISTINCT = "indistinct"
     """An effect is present, but others explain the readings as well"""
     UNEXPLAINED = "unexplained"
-    """Structure remains that no known effect explains"""
+    """Structure remains that no known effect explains, or more noise than readings of that kind have"""
     MISTAKEN = "mistaken"
     """A file has a mistake; the rest of the diagnosis is for the corrected job"""
     NOT_DECIDED = "not-decided"
@@ -257,7 +257,8 @@ class Diagnosis:
             return Verdict.MISTAKEN
         if self.quick:
             return Verdict.NOT_DECIDED
-        if self.left is not None and not self._little_is_left:
+        too_noisy = self.job.declares_noise and self.noise.is_none
+        if too_noisy or (self.left is not None and not self._little_is_left):
             return Verdict.UNEXPLAINED
         if not self.findings and not self.scatters:
             # a little beside the effects of an extended job

@@ -13,6 +13,7 @@ import numpy as np
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Mask
 from metrocli.diagnosis.adjusted_job import AdjustedJob
+from metrocli.diagnosis.evidence.parts import LARGEST
 from metrocli.diagnosis.evidence.prices import PRIOR
 from metrocli.diagnosis.linear.distributions import chi_interval
 from metrocli.diagnosis.linear.projection import FEWEST, READING, Linearised
@@ -42,6 +43,11 @@ class NoiseRatio:
     def as_declared(self) -> bool:
         """Whether its interval contains the declared noise."""
         return self.low <= 1 <= self.high
+
+    @property
+    def is_none(self) -> bool:
+        """Whether it is more than ten times the declared noise: a part of the readings, or a file, is wrong."""
+        return 2 * np.log(self.low) > LARGEST if self.low > 0 else False
 
 
 @dataclass(frozen=True)

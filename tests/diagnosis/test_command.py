@@ -321,8 +321,9 @@ def test_a_size_far_beyond_usual_ones_is_called_a_mistake_perhaps() -> None:
     found = diagnose(replace(m, read=read).adjusted())
     assert max(finding.times_usual or 0.0 for finding in found.findings) > 100
     assert "look for a mistake in the files and settings first" in diagnosis_report.of_diagnosis(found, None)
-    noisy = replace(m, read=m.read + rng.normal(0, 100, m.read.shape) * m.sigma)
-    assert "An instrument seldom has so much" in diagnosis_report.of_diagnosis(diagnose(noisy.adjusted()), None)
+    noisy = diagnose(replace(m, read=m.read + rng.normal(0, 100, m.read.shape) * m.sigma).adjusted())
+    assert "An instrument seldom has so much" in diagnosis_report.of_diagnosis(noisy, None)
+    assert noisy.verdict == "unexplained" and not noisy.findings
     usual = diagnose(lengths.planted(lengths.measurement(rng, 40), rng, "tracer-scale", 3.0)[0].adjusted())
     assert usual.findings[0].times_usual is not None
     assert "look for a mistake" not in diagnosis_report.of_diagnosis(usual, None)

@@ -17,8 +17,8 @@ from metrocli.diagnosis.noise import AS_OTHERS, DECLARED_SIGMA, VarianceGroup
 from metrocli.words import in_a_row, listed
 
 _SHOWN, _MOST_GROUPS = 6, 2
-_BEYOND_USUAL = 20.0
-"""Times the largest usual size of an effect, and the declared noise, from which a mistake is likelier"""
+_BEYOND_USUAL = 10.0
+"""Times the largest usual size of an effect from which a mistake is likelier"""
 _LOOK_FIRST = "look for a mistake in the files and settings first (units, signs, columns, order of rows)"
 
 
@@ -41,7 +41,8 @@ def headline(diagnosis: Diagnosis) -> str:
         ]
     where = f" in {diagnosis.job.part}" if diagnosis.job.part else ""
     where += f" so far ({diagnosis.ended_early})" if diagnosis.ended_early else ""
-    return f"{diagnosis.verdict}{where}{wrong}{', but ' if limits else ''}{', and '.join(limits)}"
+    but = ", and " if diagnosis.verdict is Verdict.UNEXPLAINED else ", but "
+    return f"{diagnosis.verdict}{where}{wrong}{but if limits else ''}{', and '.join(limits)}"
 
 
 def _times(ratio: float) -> str:
@@ -109,7 +110,7 @@ def noise_lines(diagnosis: Diagnosis) -> Iterator[str]:
         yield f"noise: {interval} times the declared noise{f' ({declared})' if declared else ''}"
         real = f"`{diagnosis.job.model_key}: {ESTIMATED}`"
         yield f"  The result's standard uncertainties are for the declared noise; {real} uses the noise that was found."
-        if noise.low > _BEYOND_USUAL:
+        if noise.is_none:
             yield f"  An instrument seldom has so much: {_LOOK_FIRST}."
         elif noise.low > 1:
             yield f"  Usual reasons: {_USUAL}."
