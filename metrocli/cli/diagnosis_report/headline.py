@@ -58,8 +58,8 @@ def summary(diagnosis: Diagnosis) -> Iterator[str]:
         return
     names = [
         str(effect.effect.alternative) if isinstance(effect, Finding) else f"{effect.effect.name} everywhere"
-        for effect in diagnosis.identified
-        if effect.gain.explains or not gain.explains
+        # several may explain together what each alone does not
+        for effect in [one for one in diagnosis.identified if one.gain.explains] or diagnosis.identified
     ]
     explained = f"{100 * gain.explained:.0f} %" if gain.explained > LEAST_CHANGE else "little"
     verb, remains = "explain" if len(names) > 1 else "explains", ""
