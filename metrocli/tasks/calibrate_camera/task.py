@@ -26,6 +26,7 @@ from metrocli.tasks.calibrate_camera.effects import EFFECTS, PLACES
 from metrocli.tasks.calibrate_camera.multi_camera import task as multi_camera
 from metrocli.tasks.calibrate_camera.multi_camera.alone import pinholes
 from metrocli.tasks.calibrate_camera.multi_camera.paired import as_several
+from metrocli.tasks.calibrate_camera.multi_camera.system import CameraSystem
 from metrocli.tasks.calibrate_camera.other_lenses import fisheye_instead, other_models
 from metrocli.tasks.calibrate_camera.problem import CameraProblem
 from metrocli.tasks.calibrate_camera.readings import sighted_in
@@ -52,6 +53,9 @@ from metrocli.tasks.shared.images.places import not_sought
 from metrocli.tasks.shared.images.settings import SPLINE
 from metrocli.tasks.shared.images.tables import root_mean_square
 from metrocli.words import listed
+
+_Other = tuple[Mistake, Job[Settings, Files]]
+"""What may be wrong, and the job that is right then"""
 
 
 def run(job: Job[Settings, Files]) -> Result:
@@ -87,33 +91,35 @@ def diagnosed(job: Job[Settings, Files]) -> AdjustedJob:
     return replace(whole, not_sought=not_sought(settings.shutter, whole.model), noticed=noticed)
 
 
-def other_settings(job: Job[Settings, Files], fits: bool) -> Iterator[tuple[Mistake, Job[Settings, Files]]]:
-    """Yield several cameras in place of one whose images pair, mirrored images, and a fisheye in place of a pinhole.
+def other_settings(job: Job[Settings, Files], fits: bool) -> Iterator[_Other]:
+    """Yield cameras in place of one whose images pair, mirrored images, exchanged names, a fisheye for a pinhole.
 
     The model is compared with the readings where no declared noise fits.
     """
     settings = job.settings
-    if settings.cameras is None:
-        yield from as_several(job)
-        try:
-            problem = prepared(job)[1]
-        except FAILURES:
-            # what fails before an adjustment is not in the settings: corrections of its files are tried
-            return
-        yield from turned.other_settings(job, problem)
-        yield from _exchanged(job, problem)
     each: list[CameraSettings] = [settings.camera] if settings.cameras is None else [*settings.cameras.values()]
     known = fits and isinstance(settings.noise, float)
+    if settings.cameras is None:
+        yield from as_several(job)
+    elif known:
+        return
+    try:
+        problem = prepared(job)[1] if settings.cameras is None else multi_camera.prepared(job, settings.cameras)
+    except FAILURES:
+        # what fails before an adjustment is not in the settings: corrections of its files are tried
+        return
+    if isinstance(problem, CameraProblem):
+        yield from turned.other_settings(job, problem)
+    yield from _exchanged(job, problem)
     if known or not any(camera.convention == "forward" and camera.model != SPLINE for camera in each):
         return
-    if settings.cameras is None:
+    if isinstance(problem, CameraProblem):
         yield from other_lenses.other_settings(job, problem)
     else:
-        system = multi_camera.prepared(job, settings.cameras)
-        yield from other_lenses.other_settings_of_several(job, dict(pinholes(system)))
+        yield from other_lenses.other_settings_of_several(job, dict(pinholes(problem)))
 
 
-def _exchanged(job: Job[Settings, Files], problem: CameraProblem) -> Iterator[tuple[Mistake, Job[Settings, Files]]]:
+def _exchanged(job: Job[Settings, Files], problem: CameraProblem | CameraSystem) -> Iterator[_Other]:
     """Yield the job with names of targets that may be exchanged in an image corrected."""
     table = job.files.observations
     if table is not None:
