@@ -23,16 +23,15 @@ from metrocli import tasks
 from metrocli.cli.commands import run as metrocli
 
 SAMPLES = Path(__file__).parents[1] / "sample_projects"
-PROJECTS = ("ball-cube", "gauge-block", "gear-m3d3", "laboratory-effects", "machine-lengths", "otf-tracker", "raw-part",
-            "spindle-camera", "xm60-launch-unit", "board-camera")  # fmt: skip
+PROJECTS = tuple(sorted(path.parent.name for path in SAMPLES.glob("*/metrocli.yaml")))
 MOST_BYTES, MOST_SECONDS = 2_000_000_000, 20
 MOST_IMAGES = 40
 """In a folder, so that a case does not spend its time on 200 unharmed images"""
 QUICK = (("trials: 200000", "trials: 2000"), ("trials: 1000000", "trials: 2000"))
 COMMANDS: dict[str, tuple[tuple[str, ...], ...]] = {
     ".yaml": (("run", "."), ("run", "."), ("check", "."), ("status", "."), ("simulate", "JOB", "--out", "simulated"),
-              ("gather", "--out", "table.csv"), ("plan", "JOB")),
-    ".csv": (("run", "."), ("run", "."), ("check", ".")),
+              ("gather", "--out", "table.csv"), ("plan", "JOB"), ("diagnose", "JOB", "--limit", "5")),
+    ".csv": (("run", "."), ("run", "."), ("check", "."), ("diagnose", "JOB", "--limit", "5")),
     ".h5": (("run", "."), ("status", "."), ("show", "FILE"), ("export", "FILE", "--to", "csv", "--out", "exported"),
             ("lineage", "FILE"), ("diff", "FILE", "FILE"), ("rerun", "FILE"), ("show", "FILE", "--json"),
             ("report", "FILE"), ("compare", "FILE", "FILE"), ("plot", "FILE")),

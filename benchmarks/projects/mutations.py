@@ -326,7 +326,7 @@ def _image(data: bytes, chance: Chance) -> bytes:
     elif kind == 2:
         picture = seed.integers(0, 255, picture.shape, dtype=np.uint8)
     elif kind == 3:
-        picture = picture[: chance.randrange(1, picture.shape[0]), : chance.randrange(1, picture.shape[1])]
+        picture = picture[: chance.randint(1, picture.shape[0]), : chance.randint(1, picture.shape[1])]
     elif kind == 4:
         picture = picture[::-1, ::-1]
     else:

@@ -23,7 +23,14 @@ from metrocli.diagnosis.evidence.parts import SCATTER, Fixed, Random
 from metrocli.diagnosis.evidence.prices import LEVEL
 from metrocli.diagnosis.evidence.search import pruned
 from metrocli.diagnosis.evidence.state import State
-from metrocli.diagnosis.explanations import correlated_errors, noise_instead, random_effects, smooth, with_confirmed
+from metrocli.diagnosis.explanations import (
+    correlated_errors,
+    noise_instead,
+    random_effects,
+    smooth,
+    with_confirmed,
+    with_joint_rivals,
+)
 from metrocli.diagnosis.extended_fit import extended_fit, linear_change, readings_kept, result_changes, sizes
 from metrocli.diagnosis.findings import UNREACHED, Diagnosis, Finding, RemainingStructure, Unconfirmed
 from metrocli.diagnosis.laws.law import Law
@@ -79,6 +86,7 @@ def diagnose(
             state, laws = with_laws(state, _in_white_noise(state), ordered)
     progress.doing("cross-validating: predicting parts of the readings from the others", job.budget.left())
     state, names, gained, unconfirmed = _confirmed(state, ordered, quick)
+    names = names if quick else with_joint_rivals(state, names)
     kept = readings_kept(state.measurement, state.readings)
     # the job of the first round: in that of the last one, effects on its own blocks stand at a fixed size
     # neither in a quick diagnosis, whose changes of the result are to first order: each takes an adjustment
@@ -87,7 +95,7 @@ def diagnose(
     correlated, scattered = correlated_errors(state), random_effects(state)
     parts: list[Fixed | Random] = [*state.named, *(part for part in state.random if part.kind == SCATTER)]
     whole = gain_of_parts(state, parts) if scattered else None
-    rivals = [(name.alternative, rival.alternative) for name in names for rival in name.rivals[:2]]
+    rivals = [(name.alternative, rival.alternative) for name in names for rival in name.rivals[:2] if not rival.beside]
     m, noise = state.measurement, noise_of(state)
     progress.doing("computing what the measurement could not detect")
     return Diagnosis(

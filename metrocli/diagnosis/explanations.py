@@ -5,16 +5,21 @@ Method: docs/algorithms/evidence.md.
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
 import numpy as np
 
 from metrocli.adjust.model.observations import Mask
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.correlated_error import CorrelatedError
 from metrocli.diagnosis.evidence.folds import gain_of_parts
+from metrocli.diagnosis.evidence.identified import IdentifiedEffect, Rival
 from metrocli.diagnosis.evidence.measurement import LENGTHS
 from metrocli.diagnosis.evidence.moves import effects
 from metrocli.diagnosis.evidence.parts import CORRELATED, EFFECT, SCATTER, Fixed, Random
 from metrocli.diagnosis.evidence.prices import ALIKE
+from metrocli.diagnosis.evidence.search import forward
 from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.evidence.weights import tried_noise
 from metrocli.diagnosis.extended_fit import readings_kept, result_change, with_random_effect
@@ -25,6 +30,8 @@ from metrocli.diagnosis.noise import AS_OTHERS
 from metrocli.diagnosis.rounds import searched_from
 from metrocli.effects.effect import Effect
 
+_PART, _TOGETHER = 0.25, 3
+"""Share of the net evidence of an effect that another has where several may explain it together, and how many may"""
 _MOST_ROWS = 8
 """Largest number of rows of a unit, for each parameter of an effect at it, whose noise can imitate the effect"""
 
@@ -193,6 +200,32 @@ def not_confirmed(state: State) -> list[tuple[Random, Unconfirmed]]:
 def _effect_of(state: State, part: Random) -> Effect:
     """Return the effect that acts at all its places by a random part of a state."""
     return state.measurement.scatters[part.key[0]][0].effect
+
+
+def with_joint_rivals(state: State, names: Sequence[IdentifiedEffect]) -> tuple[IdentifiedEffect, ...]:
+    """Return effects with those that explain the readings as well in the place of one of them, but only together.
+
+    A tilted sensor is nearly a skew with a thin prism. Each effect that another one can stand for in part is left out
+    in turn, and the search goes on without it.
+    """
+    return tuple(replace(name, rivals=(*name.rivals, *_joint_rivals(state, name))) for name in names)
+
+
+def _joint_rivals(state: State, name: IdentifiedEffect) -> Iterator[Rival]:
+    if name.second < _PART:
+        return
+    part = next(entry for entry in state.named if entry.key == name.key)
+    less = state.minus([part])
+    other = forward(less, _TOGETHER, without=[part])
+    m, odds = other.measurement, other.score - state.score
+    new = [m.alternative(entry.key) for entry in other.named if entry.key not in {each.key for each in less.named}]
+    # what enters as noise, or as a correlated error, is no effect in its place
+    alike = len(other.random) <= len(less.random) and len(m.noise) <= len(state.measurement.noise)
+    if odds < -ALIKE or not alike or any(one.spot == name.alternative.spot for one in new):
+        return
+    known = {rival.alternative.spot for rival in name.rivals}
+    for one in (one for one in new if one.spot not in known):
+        yield Rival(one, np.nan, float(np.exp(min(odds, 0.0))), tuple(each for each in new if each is not one))
 
 
 def smooth(state: State) -> list[int]:

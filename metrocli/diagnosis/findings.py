@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from enum import StrEnum
 
+import numpy as np
+
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.correlated_error import CorrelatedError
 from metrocli.diagnosis.detectability import Detectability
@@ -98,6 +100,18 @@ class RandomEffect:
     shift: float
     """Largest change of the delivered result when it is taken into the model"""
 
+    @property
+    def times_usual(self) -> float | None:
+        """`std` less twice its standard uncertainty, in the largest usual size; None if none is known."""
+        return _times_usual(self.effect, self.std, self.spread)
+
+    def __str__(self) -> str:
+        return f"{self.effect.name} everywhere"
+
+
+def _times_usual(effect: Effect, size: float, std: float) -> float | None:
+    return None if effect.usual_sizes is None else max(float(size - 2 * std), 0.0) / effect.usual_sizes[1]
+
 
 @dataclass(frozen=True)
 class Unconfirmed:
@@ -137,9 +151,25 @@ class Finding:
         return self.gain.log_score > 0
 
     @property
+    def times_usual(self) -> float | None:
+        """Its size less twice its standard uncertainty, in the largest usual size; None if none is known."""
+        effect = self.effect.alternative.effect
+        alike = [size for size in self.sizes if size.parameter.dimension == effect.parameters[0].dimension]
+        parts = np.array([(size.value, size.std or 0.0) for size in alike])
+        return _times_usual(effect, *np.linalg.norm(parts, axis=0))
+
+    def __str__(self) -> str:
+        return str(self.effect.alternative)
+
+    @property
     def instead(self) -> tuple[str, ...]:
         """What explains the readings as well, in words."""
-        return (*(str(rival.alternative) for rival in self.effect.rivals), *map(str, self.noise))
+        # effects that explain them together only are listed once
+        together = {
+            frozenset(map(str, (rival.alternative, *rival.beside))): str(rival)
+            for rival in reversed(self.effect.rivals)
+        }
+        return (*reversed(together.values()), *map(str, self.noise))
 
 
 @dataclass(frozen=True)

@@ -150,7 +150,9 @@ def _effect(job: AdjustedJob, finding: Finding) -> dict[str, Any]:
         "p_value": float(np.exp(name.log_level)),
         "alternatives": [
             *(
-                _named(rival.alternative) | {"correlation": rival.correlation, "odds": rival.odds}
+                _named(rival.alternative)
+                | {"correlation": None if rival.beside else rival.correlation, "odds": rival.odds}
+                | ({"with": [*map(_named, rival.beside)]} if rival.beside else {})
                 for rival in name.rivals
             ),
             *(asdict(noise) | {"correlation": None} for noise in finding.noise),
@@ -160,6 +162,7 @@ def _effect(job: AdjustedJob, finding: Finding) -> dict[str, Any]:
         "aliases": [
             {"parameter": key, "value": value, "odds": odds, "unit": units_of[key]} for key, value, odds in name.aliases
         ],
+        "times_usual": finding.times_usual,
         "other_shape_from": finding.other_shape_from,
         "gain": _gain(gain, job) | {"result_shift": delivered(job, finding.shift)},
     }
@@ -183,6 +186,7 @@ def _scatter(job: AdjustedJob, scatter: RandomEffect) -> dict[str, Any]:
         "parameters": {"std": {"value": scatter.std, "std": scatter.spread, "unit": effect.parameters[0].unit}},
         "p_value": float(np.exp(scatter.log_level)),
         "alternatives": [asdict(rival) | {"correlation": None} for rival in scatter.rivals],
+        "times_usual": scatter.times_usual,
         "other_shape_from": None,
         "gain": _gain(scatter.gain, job) | {"result_shift": delivered(job, scatter.shift)},
     }

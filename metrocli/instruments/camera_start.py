@@ -47,11 +47,14 @@ def plane_frame(points: Array) -> tuple[Array, bool]:
     return poses.pose(rotation, -rotation @ centre), bool(spread[2] <= _FLAT * spread[1] or len(points) < 4)
 
 
-def start(scene: TargetImages, centre: Array, focal: float | None, guess: float) -> tuple[float, Array]:
+def start(
+    scene: TargetImages, centre: Array, focal: float | None, guess: float, again: bool = True
+) -> tuple[float, Array]:
     """Return the focal length [px] and the poses (views, 6) that transform targets into the frame of each camera.
 
     Coplanar targets: homographies and the closed form of Zhang (2000), with the principal point at `centre`. Other
-    targets: direct linear transformation. `guess` is the focal length used if the views do not determine it.
+    targets: direct linear transformation. `guess` is the focal length used if the views do not determine it. `again` is
+    whether views that are astray are tried again, from the 24 rotations of a cube.
     """
     take(_AS_LONG)
     to_plane, planar = plane_frame(scene.points[np.unique(scene.target)])
@@ -67,7 +70,7 @@ def start(scene: TargetImages, centre: Array, focal: float | None, guess: float)
     maps[:, :2] /= ratio
     started = _poses_of_homographies(maps) if planar else _poses_of_projections(maps)
     if not planar:
-        started = _resected(scene.selected(keep), local, rays[:, keep] / ratio, started)
+        started = _resected(scene.selected(keep), local, rays[:, keep] / ratio, started, again)
     started[:, :3] *= scale
     return ratio * guess, poses.compose(started, np.broadcast_to(to_plane, started.shape))
 
@@ -127,16 +130,16 @@ _PROJECTION = 6
 """... or if it has fewer readings than this, too few to start from a projection"""
 
 
-def _resected(scene: TargetImages, local: Array, rays: Array, start_poses: Array) -> Array:
+def _resected(scene: TargetImages, local: Array, rays: Array, start_poses: Array, again: bool) -> Array:
     """Return poses refined in object space.
 
-    A view that ends behind the camera or with a large misfit is tried again from the 24 rotations of a cube.
+    A view that ends behind the camera or with a large misfit is tried `again` from the 24 rotations of a cube.
     """
     best = _orthogonal_iteration(scene, local, rays, start_poses)
     misfit = _misfit(scene, local, rays, best)
     few = np.bincount(scene.view, minlength=scene.views) < _PROJECTION
     astray = np.flatnonzero(few | ~np.isfinite(misfit) | (misfit > _ASTRAY * np.median(misfit)))
-    if not astray.size:
+    if not (again and astray.size):
         return best
     chosen = np.isin(scene.view, astray)
     part = TargetImages(

@@ -30,7 +30,8 @@ def start_of_fisheye(
     """
     if not focal:
         some = _of_some_views(scene)
-        focal = min((_TRIED * side).tolist(), key=lambda trial: _posed(some, {**lens, "f": trial})[1])
+        # the median needs at most half of the views at their places
+        focal = min((_TRIED * side).tolist(), key=lambda trial: _posed(some, {**lens, "f": trial}, again=False)[1])
     return focal, _posed(scene, {**lens, "f": focal})[0]
 
 
@@ -44,8 +45,11 @@ def _of_some_views(scene: TargetImages) -> TargetImages:
     return TargetImages(part.points, part.uv, part.target, number[part.view], len(chosen))
 
 
-def _posed(scene: TargetImages, lens: Mapping[str, float]) -> tuple[Array, float]:
-    """Return the poses for a lens, and the median distance [px] of image points from their prediction."""
+def _posed(scene: TargetImages, lens: Mapping[str, float], again: bool = True) -> tuple[Array, float]:
+    """Return the poses for a lens, and the median distance [px] of image points from their prediction.
+
+    `again` is whether views that are astray are tried again.
+    """
     seen = direction(lens, scene.uv[0], scene.uv[1], "fisheye")
     known = np.isfinite(seen[0])
     sums = [np.bincount(scene.view[known], row[known], scene.views) for row in seen]
@@ -56,7 +60,7 @@ def _posed(scene: TargetImages, lens: Mapping[str, float]) -> tuple[Array, float
     # turned to the middle of its points a fisheye is a pinhole near the axis,
     # so that the start of cameras serves it too
     part = TargetImages(scene.points, flat, scene.target, scene.view, scene.views).selected(near)
-    _, pose = start(part, np.zeros(2), 1.0, 1.0)
+    _, pose = start(part, np.zeros(2), 1.0, 1.0, again)
     pose = poses.compose(poses.pose(np.swapaxes(turn, 1, 2), np.zeros(3)), pose)
     at = equidistant(poses.apply(pose[scene.view], scene.points[scene.target]).T)
     u, v = image_point(lens, at.x, at.y, fisheye=True)

@@ -263,13 +263,13 @@ def _effect(effect: Mapping[str, Any]) -> str:
     sizes = sizes_in_words(effect.get("parameters", {}))
     shift = (effect.get("gain") or {}).get("result_shift") or {}
     changes = micro(f"changes the result by {two_digits(shift['value'])} {shift['unit']}") if shift.get("value") else ""
-    rivals = [_named(alternative) for alternative in effect.get("alternatives", ())]
-    instead = f"or instead {listed(rivals, _SHOWN)}" if rivals else ""
-    return f"{_named(effect)}: {'; '.join(filter(None, [sizes, changes, instead]))}"
+    rivals = listed([*map(_named, effect.get("alternatives", ()))], _SHOWN)
+    return f"{_named(effect)}: {'; '.join(filter(None, [sizes, changes, rivals and f'or instead {rivals}']))}"
 
 
 def _named(effect: Mapping[str, Any]) -> str:
-    return " ".join([str(effect.get("name", "")), *map(str, dict(effect.get("where") or {}).values())])
+    name = " ".join([str(effect.get("name", "")), *map(str, dict(effect.get("where") or {}).values())])
+    return " with ".join(filter(None, [name, in_a_row([*map(_named, effect.get("with", ()))])]))
 
 
 def _wrong(outlier: Mapping[str, Any]) -> str:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks.hidden import lengths
+from benchmarks.hidden import launch, lengths
 from benchmarks.hidden.lengths import Measurement
 from metrocli.cli.console import Console
 from metrocli.cli.diagnosis_report import findings as diagnosis_report
@@ -310,6 +310,22 @@ def test_a_report_says_how_far_the_shape_of_an_effect_was_checked() -> None:
     ):
         told = replace(found, findings=(replace(found.findings[0], other_shape_from=share),))
         assert words in " ".join(diagnosis_report.of_diagnosis(told, None).split())
+
+
+def test_a_size_far_beyond_usual_ones_is_called_a_mistake_perhaps() -> None:
+    """Half of the rows counted the other way fit an eccentricity of an encoder, which nobody has of such a size."""
+    rng = np.random.default_rng(5)
+    m = launch.measurement(rng, distances=True)
+    read = m.read.copy()
+    read[1, len(m.psi) // 2 :] *= -1
+    found = diagnose(replace(m, read=read).adjusted())
+    assert max(finding.times_usual or 0.0 for finding in found.findings) > 100
+    assert "look for a mistake in the files and settings first" in diagnosis_report.of_diagnosis(found, None)
+    noisy = replace(m, read=m.read + rng.normal(0, 100, m.read.shape) * m.sigma)
+    assert "An instrument seldom has so much" in diagnosis_report.of_diagnosis(diagnose(noisy.adjusted()), None)
+    usual = diagnose(lengths.planted(lengths.measurement(rng, 40), rng, "tracer-scale", 3.0)[0].adjusted())
+    assert usual.findings[0].times_usual is not None
+    assert "look for a mistake" not in diagnosis_report.of_diagnosis(usual, None)
 
 
 def test_an_extended_job_takes_the_place_of_no_other_file(folder: Path, metrocli: Metrocli) -> None:

@@ -18,7 +18,7 @@ from metrocli.cli.diagnosis_report.advice import (
     wrong_readings,
 )
 from metrocli.cli.diagnosis_report.candidates import candidate_lines, count_of_candidates
-from metrocli.cli.diagnosis_report.headline import headline, noise_lines, smooth, summary
+from metrocli.cli.diagnosis_report.headline import beyond_usual, headline, noise_lines, smooth, summary
 from metrocli.cli.diagnosis_report.laws import law_lines
 from metrocli.diagnosis.adjusted_job import REPORTED, AdjustedJob, MemberSubset
 from metrocli.diagnosis.detectability import Detectability
@@ -36,7 +36,7 @@ def of_diagnosis(diagnosis: Diagnosis, extended: Extended | None, full: bool = F
     """Return the report of a diagnosis, `full` with all candidates; `extended` is the extended job that was written."""
     job, findings = diagnosis.job, diagnosis.findings
     noticed = [f"noticed: {line}" for line in job.noticed]
-    parts = [[f"verdict: {headline(diagnosis)}", *summary(diagnosis), *noticed]]
+    parts = [[f"verdict: {headline(diagnosis)}", *summary(diagnosis), *beyond_usual(diagnosis), *noticed]]
     if diagnosis.mistaken is not None:
         parts.append(list(mistake_lines(diagnosis.mistaken)))
     if findings or diagnosis.scatters:

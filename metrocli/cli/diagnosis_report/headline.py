@@ -11,12 +11,15 @@ from metrocli.adjust.clusters.robust import ESTIMATED, STRUCTURED
 from metrocli.diagnosis.correlated_error import CorrelatedError
 from metrocli.diagnosis.evidence.gain import LEAST_CHANGE
 from metrocli.diagnosis.evidence.prices import LEVEL
-from metrocli.diagnosis.findings import Diagnosis, Finding, Verdict
+from metrocli.diagnosis.findings import Diagnosis, Verdict
 from metrocli.diagnosis.linear.projection import READING
 from metrocli.diagnosis.noise import AS_OTHERS, DECLARED_SIGMA, VarianceGroup
 from metrocli.words import in_a_row, listed
 
 _SHOWN, _MOST_GROUPS = 6, 2
+_BEYOND_USUAL = 20.0
+"""Times the largest usual size of an effect, and the declared noise, from which a mistake is likelier"""
+_LOOK_FIRST = "look for a mistake in the files and settings first (units, signs, columns, order of rows)"
 
 
 def headline(diagnosis: Diagnosis) -> str:
@@ -43,7 +46,7 @@ def headline(diagnosis: Diagnosis) -> str:
 
 def _times(ratio: float) -> str:
     """Return a ratio to two digits, and to three where these are those of 1."""
-    text = f"{ratio:.2g}"
+    text = units.two_digits(ratio)
     return text if text != "1" else f"{ratio:.3g}"
 
 
@@ -56,11 +59,8 @@ def summary(diagnosis: Diagnosis) -> Iterator[str]:
     gain = diagnosis.gain
     if gain is None or not (gain.explains or diagnosis.verdict is Verdict.EXPLAINED):
         return
-    names = [
-        str(effect.effect.alternative) if isinstance(effect, Finding) else f"{effect.effect.name} everywhere"
-        # several may explain together what each alone does not
-        for effect in [one for one in diagnosis.identified if one.gain.explains] or diagnosis.identified
-    ]
+    # several may explain together what each alone does not
+    names = [str(one) for one in diagnosis.identified if one.gain.explains] or list(map(str, diagnosis.identified))
     explained = f"{100 * gain.explained:.0f} %" if gain.explained > LEAST_CHANGE else "little"
     verb, remains = "explain" if len(names) > 1 else "explains", ""
     rest = [error for error in diagnosis.correlated_errors if error.is_in_unit_of(diagnosis.job.reading[1])]
@@ -72,6 +72,15 @@ def summary(diagnosis: Diagnosis) -> Iterator[str]:
             f"; {size} that vary with {listed(list(dict.fromkeys(error.covariate for error in rest)), _SHOWN)} remain"
         )
     yield f"  {listed(names, _SHOWN)} {verb} {explained} of the misfit (squares of held-out errors){remains}"
+
+
+def beyond_usual(diagnosis: Diagnosis) -> Iterator[str]:
+    """Yield what is larger than it is in practice: an effect can stand for a mistake in a file that is like it."""
+    times = {str(each): each.times_usual or 0.0 for each in diagnosis.identified}
+    beyond = {name: ratio for name, ratio in times.items() if ratio > _BEYOND_USUAL}
+    if beyond:
+        sizes = listed([f"{name} (at least {units.two_digits(ratio)} times)" for name, ratio in beyond.items()], _SHOWN)
+        yield f"  far above the largest usual size: {sizes}; {_LOOK_FIRST}"
 
 
 def smooth(process: CorrelatedError) -> str:
@@ -101,7 +110,9 @@ def noise_lines(diagnosis: Diagnosis) -> Iterator[str]:
         yield f"noise: {interval} times the declared noise{f' ({declared})' if declared else ''}"
         real = f"`{diagnosis.job.model_key}: {ESTIMATED}`"
         yield f"  The result's standard uncertainties are for the declared noise; {real} uses the noise that was found."
-        if noise.low > 1:
+        if noise.low > _BEYOND_USUAL:
+            yield f"  An instrument seldom has so much: {_LOOK_FIRST}."
+        elif noise.low > 1:
             yield f"  Usual reasons: {_USUAL}."
         if noise.low > _HIGH_NOISE and noise.dof < _FEW_DOF:
             yield f"  With {noise.dof:.0f} degrees of freedom, several wrong readings may pass as noise: measure more."

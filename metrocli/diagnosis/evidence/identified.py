@@ -17,6 +17,7 @@ from metrocli.diagnosis.linear.distributions import log_family, log_tail
 from metrocli.diagnosis.linear.projection import FLAT, VISIBLE
 from metrocli.diagnosis.linear.quadratics import quadratic
 from metrocli.frozen import dataclass
+from metrocli.words import in_a_row
 
 _NOT_APART, _WIDE = 6.6, 0.3
 """Non-centrality below which two effects cannot be distinguished, and the least cosine for that"""
@@ -38,6 +39,12 @@ class Rival:
     """Cosine between the fitted signature of the identified effect and the span of the rival's columns"""
     odds: float
     """Ratio of its evidence to that of the identified effect"""
+    beside: tuple[Candidate, ...] = ()
+    """Other effects without which it does not"""
+
+    def __str__(self) -> str:
+        together = f" with {in_a_row([*map(str, self.beside)])}" if self.beside else ""
+        return f"{self.alternative}{together}"
 
 
 @dataclass(frozen=True)
@@ -63,6 +70,8 @@ class IdentifiedEffect:
     shows: float
     """Norm of its visible part in the readings, in standard deviations of the declared noise"""
     aliases: tuple[Alias, ...] = ()
+    second: float = -np.inf
+    """Net evidence of the best other effect in its place, in that of its own"""
 
     @property
     def level_of_size(self) -> float:
@@ -107,7 +116,7 @@ def identified(state: State, part: Fixed, with_rivals: bool = True) -> Identifie
     rank = int(estimable.sum())
     single = float(log_tail(share, rank, max(less.freedoms - rank, 1.0)))
     level = float(log_family(single, m.prices.tests[part.family]))
-    others = _rivals(less, part, values, state.variance) if with_rivals else ()
+    others, second = _rivals(less, part, values, state.variance) if with_rivals else ((), -np.inf)
     own = m.alternative(part.key)
     return IdentifiedEffect(
         part.key,
@@ -121,6 +130,7 @@ def identified(state: State, part: Fixed, with_rivals: bool = True) -> Identifie
         tuple(rival for rival in others if rival.alternative.spot == own.spot),
         float(np.sqrt(max(values @ family.gram[part.number] @ values, 0.0))),
         part.aliases,
+        second,
     )
 
 
@@ -161,10 +171,11 @@ def explains_as_well(log_odds: Array, cosines2: Array, shown: Array | float) -> 
     return np.asarray((log_odds > -ALIKE) | ((cosines2 > _WIDE**2) & ((1 - cosines2) * shown < _NOT_APART)))
 
 
-def _rivals(less: State, part: Fixed, values: Array, variance: float) -> tuple[Rival, ...]:
+def _rivals(less: State, part: Fixed, values: Array, variance: float) -> tuple[tuple[Rival, ...], float]:
     """Return the best form of each other effect and place that explains as well as an effect, and its other forms.
 
-    `less` is the state without it. A rival has nearly as much evidence, or the readings cannot tell the two apart.
+    `less` is the state without it. A rival has nearly as much evidence, or the readings cannot tell the two apart. Last
+    is the net evidence of the best other effect, in that of the effect.
     """
     m = less.measurement
     own, squares, dof = m.alternative(part.key), less.fit.squares, less.freedoms
@@ -176,7 +187,7 @@ def _rivals(less: State, part: Fixed, values: Array, variance: float) -> tuple[R
     shown = max(float(whole @ visible), 1e-300)
     # an effect that the state has already is beside the identified one, and not in its place
     taken = {m.alternative(other.key).spot for other in less.named}
-    best: dict[object, Rival] = {}
+    best, second = dict[object, Rival](), -np.inf
     for number, family in enumerate(m.families):
         if family.unknown:
             continue
@@ -186,6 +197,8 @@ def _rivals(less: State, part: Fixed, values: Array, variance: float) -> tuple[R
         along = family.columns.products(visible[:, None])[:, :, 0]
         cosine2 = np.clip(quadratic(gram, along, family.raw)[0] / shown, 0.0, 1.0)
         odds = gain - m.prices.of_ranks(number, rank) - mine
+        elsewhere = (at for at in np.argsort(-odds).tolist() if family.alternatives[at].spot not in {*taken, own.spot})
+        second = max(second, float(odds[next(elsewhere, [])].max(initial=-np.inf)))
         for at in np.flatnonzero((gain > _SHOWS) & explains_as_well(odds, cosine2, t / variance)).tolist():
             other = family.alternatives[at]
             if other.form == own.form or (other.spot != own.spot and other.spot in taken):
@@ -196,4 +209,4 @@ def _rivals(less: State, part: Fixed, values: Array, variance: float) -> tuple[R
             rival = Rival(other, float(np.sqrt(cosine2[at])), float(np.exp(np.clip(odds[at], -700, 700))))
             if key not in best or best[key].odds < rival.odds:
                 best[key] = rival
-    return tuple(sorted(best.values(), key=lambda rival: -rival.odds))
+    return tuple(sorted(best.values(), key=lambda rival: -rival.odds)), 1 + second / max(mine, 1e-300)

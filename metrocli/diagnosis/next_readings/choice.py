@@ -170,7 +170,9 @@ def _of_indistinct(diagnosis: Diagnosis, proposed: Sequence[Proposal], known: Kn
         others = [other.alternative for other in named if other is not effect]
         for rival in effect.rivals[:_RIVALS]:
             why = f"separates {effect.alternative} from {rival.alternative}"
-            pool = pool_of(diagnosis.job, proposed, [effect.alternative, rival.alternative], others, known)
+            pool = pool_of(
+                diagnosis.job, proposed, [effect.alternative, rival.alternative], [*others, *rival.beside], known
+            )
             yield _Test(why, int(effect.estimable.sum()), effect.values, pool, rival.odds)
 
 

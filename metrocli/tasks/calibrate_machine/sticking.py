@@ -28,8 +28,10 @@ def stuck_channels(settings: Settings, files: Files) -> tuple[str, ...]:
     by_column = ((files.lines, "line"), (files.lengths, "station"))
     by_one = ((files.points, "the tracker"), (files.track, "the tracker"), (files.probing, "the probe"))
     for table, source in (*by_column, *by_one):
+        if table is None or not any(place in table for place in _PLACES):
+            continue
         # a channel of zeros was not measured, which is a fault of its own
-        if table is None or (table is files.lines and any(unmeasured(table))):
+        if table is files.lines and any(unmeasured(table)):
             continue
         names = table.texts(source) if source in table else [source] * len(table)
         sources, of = np.unique(np.array(names, dtype=str), return_inverse=True)

@@ -42,6 +42,8 @@ _NO_DISTANCE = (
     "the angles agree on a place of the unit that no distance fits: the readings do not decide whether the distances "
     "are wrong or the places of the poses; check both and their units, or leave out the distances"
 )
+_PASSING = 0.05
+"""Angle [rad] by which the line of a beam may miss the unit, so that it is one of its beams"""
 _ENOUGH = 1
 """With more poses than this, wrong columns can be recognised"""
 
@@ -233,13 +235,23 @@ def _refuse_mirrored(readings: AlignedPoses, noise: LaunchUnitNoise) -> None:
     if uncertainty_along(readings, noise) > WEAK:
         return
     beams = readings.beams
-    ahead = np.einsum("ni,ni->n", beams.towards, lines(beams).place - readings.receiver)
-    behind = [name for name, along in zip(readings.names, ahead, strict=True) if along <= 0]
-    if behind:
-        raise InputError(
-            f"in {len(behind)} of {len(ahead)} poses the receiver points away from the unit: {listed(behind)}\n"
+    way = lines(beams).place - readings.receiver
+    ahead = np.einsum("ni,ni->n", beams.towards, way)
+    behind = ahead <= 0
+    if behind.any():
+        names = listed([readings.names[i] for i in np.flatnonzero(behind)])
+        # reversed, a beam stays on its line: only one that passes the place of the unit is a mirrored one
+        passing = -ahead[behind] > np.cos(_PASSING) * np.linalg.norm(way[behind], axis=1)
+        turned = (
             "give phi3, phi4 of the direction from the receiver to the unit: reverse the sign of phi3 and turn phi4 by "
             "180 degrees"
+        )
+        apart = (
+            "reversed, their beams would not meet the others: check the order of the rows, the columns and the units"
+        )
+        raise InputError(
+            f"in {behind.sum()} of {len(ahead)} poses the receiver points away from the unit: {names}\n"
+            f"{turned if passing.all() else apart}"
         )
 
 

@@ -8,6 +8,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from metrocli import units
 from metrocli.adjust.medians import median
 from metrocli.arrays import Array, Index
 from metrocli.errors import Fault, InputError, NoSolutionError
@@ -96,9 +97,10 @@ def _wrong_lengths(lengths: Table, readings: LengthReadings) -> list[_MisnamedLe
         lines = lengths.lines or range(2, len(lengths) + 2)
         where = f"line{'s' * (len(rows) > 1)} {', '.join(str(lines[row]) for row in rows)}"
         to = f"; they fit {readings.names[others[0]]}: correct the name" if len(others) == 1 else ""
+        most = units.sized(miss[own].max(), "length")
         text = (
-            f"lengths of {readings.names[number]} ({where}) are off by up to {miss[own].max():.3g} mm from where the "
-            f"list puts it, those of all other points by less than {bound:.2g} mm{to}"
+            f"lengths of {readings.names[number]} ({where}) are off by up to {most} from where the list puts it, "
+            f"those of all other points by less than {units.sized(bound, 'length')}{to}"
         )
         misnamed.append(_MisnamedLengths(rows, text))
     return misnamed

@@ -230,7 +230,7 @@ def _must_be_near(network: TracerNetwork, solution: Solution) -> None:
         scaled = f"the points found are {size:.2g} times as far apart as those of the list: check units and scales"
         placed = APART + _DELAY * network.absolute if np.isfinite(network.listed_at).all() else _NO_PLACES
         why = scaled if abs(size - 1) > _ASTRAY else placed
-        raise NotConvergedError(f"the points found lie {middle:.3g} mm from their listed places (median): {why}")
+        raise NotConvergedError(f"the points found lie {middle:.4g} mm from their listed places (median): {why}")
 
 
 def _noise_of(network: TracerNetwork) -> float:

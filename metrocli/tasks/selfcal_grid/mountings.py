@@ -245,7 +245,7 @@ def _astray(readings: GridReadings, n: int, seen: Observed, pitch: float) -> lis
         distance = float(np.linalg.norm(off[k])) * pitch
         other = not np.array_equal(nearest, ball) and (readings.balls == nearest).all(axis=1).any()
         meant = f", where {ball_name(nearest)} stands" if other else ""
-        text = f"{ball_name(ball)} of view '{view.name}' is read {distance:.3g} mm from its place{meant}"
+        text = f"{ball_name(ball)} of view '{view.name}' is read {distance:.4g} mm from its place{meant}"
         faults.append(readings.table.fault_at(row, text))
     return faults
 

@@ -221,7 +221,7 @@ def _strange(seen: LengthsToTracers, i: int, misfit: float, bad: int) -> Fault:
     points, lengths = _of_tracer(seen, i)
     tracers = seen.tracers
     name = f"{tracers.noun} {tracers.names[i]}"
-    text = f"the lengths of {name} do not belong to these points: they are off by {misfit:.3g} mm"
+    text = f"the lengths of {name} do not belong to these points: they are off by {units.sized(misfit, 'length')}"
     if np.ptp(seen.length) == 0:
         return Fault(text, seen.file, hint=EQUAL)
     of = "another set-up" if bad < len(tracers.names) else "another list of points"

@@ -136,6 +136,13 @@ def test_one_missing_axis_is_told(machine: sim.Machine) -> None:
         )
 
 
+def test_a_file_without_positions_is_told(machine: sim.Machine) -> None:
+    lines = line_table([line(machine, axis, np.random.default_rng(56)) for axis in AXES])
+    columns = {name: values for name, values in lines.columns.items() if name != "position"}
+    with pytest.raises(InputError, match="the column 'position_mm' is missing"):
+        calibrate_machine.run(calibrate_machine.TASK.job(job(), lines=replace(lines, columns=columns)))
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [

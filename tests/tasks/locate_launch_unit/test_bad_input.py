@@ -137,6 +137,15 @@ def test_one_pose_of_the_mirrored_unit_is_named() -> None:
         locate_launch_unit.run(locate_launch_unit.TASK.job(settings(), given.table()))
 
 
+def test_poses_that_point_away_and_meet_nothing_are_not_called_mirrored() -> None:
+    """Angles of the next pose in half of the rows: to reverse them would mend nothing."""
+    given = anywhere(24, 17).noisy(RNG)
+    angles = given.angles.copy()
+    angles[:, 12:] = np.roll(angles[:, 12:], 1, axis=1)
+    with pytest.raises(InputError, match=r"points away from the unit.*\nreversed, their beams would not meet"):
+        locate_launch_unit.run(locate_launch_unit.TASK.job(settings(), replace(given, angles=angles).table()))
+
+
 def test_a_wrong_pose_is_told_and_the_result_not_recommended() -> None:
     given = anywhere(8, 17).noisy(RNG)
     receivers = given.receivers.copy()

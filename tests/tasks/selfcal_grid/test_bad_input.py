@@ -76,13 +76,13 @@ CASES: dict[str, tuple[str, Callable[[Rows], Rows], str]] = {
     "one view in another unit": ("", lambda rows: [[*row[:4], *(str(float(x) * 1000) for x in row[4:])] if row[0] == "3" else row for row in rows], "the balls of view '3' are read 65001 mm apart"),
     "i counted backwards": ("", lambda rows: [[row[0], str(-int(row[1])), *row[2:]] for row in rows], "in all views i counts against its axis"),
     "an index outside": ("", set_cell(3, 2, "7"), "views.csv:5: error: ball (-2, 7, 1) is outside the grid of 5 x 5 x 5"),
-    "a wrong index inside": ("", lambda rows: [row for n, row in enumerate(set_cell(3, 1, "1")(rows)) if n == 3 or row[:4] != ["1", "1", "-2", "1"]], "views.csv:5: error: ball (1, -2, 1) of view '1' is read 195 mm from its place, where ball (-2, -2, 1) stands"),
+    "a wrong index inside": ("", lambda rows: [row for n, row in enumerate(set_cell(3, 1, "1")(rows)) if n == 3 or row[:4] != ["1", "1", "-2", "1"]], "views.csv:5: error: ball (1, -2, 1) of view '1' is read 195.1 mm from its place, where ball (-2, -2, 1) stands"),
     "a duplicate without repeat": ("", lambda rows: [*rows, rows[7]], "view 1, i -2, j -1, k 0: a second row"),
     "an unknown view": ("", set_cell(0, 0, "7"), "views.csv:2: error: view '7' is not among the job's views"),
     "an even grid": ("[5, 5, 5]=[5, 4, 5]", lambda rows: rows, "4 is even"),
     "an odd angle": ("x, angle: 90 deg=x, angle: 45 deg", lambda rows: rows, "only multiples of 90 deg"),
     "a name twice": ("name: \"4\"=name: \"3\"", lambda rows: rows, "two views have the name '3'"),
-    "a reading off by a metre": ("", set_cell(9, 4, "870.0"), "views.csv:11: error: ball (-2, -1, 2) of view '1' is read 1e+03 mm from its place\n"),
+    "a reading off by a metre": ("", set_cell(9, 4, "870.0"), "views.csv:11: error: ball (-2, -1, 2) of view '1' is read 1000 mm from its place\n"),
     "a reading in another row's place": ("", set_cell(9, 5, "0.0"), "views.csv:11: error: ball (-2, -1, 2) of view '1' is read 65.4 mm from its place, where ball (-2, 0, 2) stands"),
 }  # fmt: skip
 

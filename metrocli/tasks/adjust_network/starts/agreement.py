@@ -10,6 +10,7 @@ from random import Random
 
 import numpy as np
 
+from metrocli import units
 from metrocli.adjust.medians import medians_of
 from metrocli.arrays import Array, Index
 from metrocli.errors import NotConvergedError, UndeterminedError
@@ -96,7 +97,7 @@ def disagreement(readings: NetworkReadings, rough: NetworkStart) -> tuple[float,
     station = seen.station[rows][shared]
     of = {int(number): float(np.median(off[station == number])) for number in np.unique(station)}
     worst = sorted(of, key=lambda number: -of[number])[:3]
-    words = listed([f"{readings.stations.names[number]} by {of[number]:.3g} mm" for number in worst])
+    words = listed([f"{readings.stations.names[number]} by {units.sized(of[number], 'length')}" for number in worst])
     return float(np.median(off)) / extent, words
 
 

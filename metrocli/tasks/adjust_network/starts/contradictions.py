@@ -9,6 +9,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from metrocli import units
 from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.solution import Solution
@@ -38,7 +39,7 @@ def must_agree_with_setups(network: Network) -> None:
         if off.size >= _FEW and most > _limit(network):
             what = next((words for name, words in _WORDS.items() if name == group.name), "given points")
             raise NotConvergedError(
-                f"{what} contradict the set-ups: most of them are off by {most:.3g} mm or more.\n"
+                f"{what} contradict the set-ups: most of them are off by {units.sized(most, 'length')} or more.\n"
                 "  Look at their units, signs and axes, and at the names of their points"
             )
 
@@ -79,7 +80,9 @@ def _in_words(network: Network, sightings: Index, off: Array) -> str:
     texts = []
     for row, away in zip(sightings.tolist(), off.tolist(), strict=True):
         name = "/".join(names[of[row]] for names, of in (stations, points))
-        texts.append(f"{name} (line {seen.table.lines[row]}) by {away:.3g} mm" if seen.table.lines else name)
+        texts.append(
+            f"{name} (line {seen.table.lines[row]}) by {units.sized(away, 'length')}" if seen.table.lines else name
+        )
     return listed(texts, _NAMED)
 
 
@@ -125,7 +128,10 @@ def refusal(network: Network, rows: Mapping[str, Index]) -> NotConvergedError:
     for name, wrong in rows.items():
         group = network.model.group(name)
         off, keys = _off(group, network.blocks), group.observations.keys
-        texts += [f"{_ONE[name]} {'/'.join(text[i] for text in keys.values())} by {off[i]:.3g} mm" for i in wrong]
+        texts += [
+            f"{_ONE[name]} {'/'.join(text[i] for text in keys.values())} by {units.sized(off[i], 'length')}"
+            for i in wrong
+        ]
     return NotConvergedError(
         f"readings contradict the set-ups: {listed(texts[:_NAMED])}.\n"
         "  Look at their values, signs and names; `outliers: remove` leaves them out"

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from metrocli import units
 from metrocli.arrays import Array, Index, Mask
 from metrocli.errors import Fault, InputError
 from metrocli.frozen import dataclass
@@ -89,7 +90,8 @@ def mismatch(measured: Array, nominal: Array, file: str) -> Fault:
         text = "the measured points are a mirror image of the commanded ones"
         return Fault(text, file, hint=MIRRORED)
     off = miss(poses.fit_pose(measured.T, nominal.T), measured, nominal)
-    text = f"the measured points do not have the shape of the commanded ones: {off:.3g} mm off after the best alignment"
+    away = units.sized(off, "length")
+    text = f"the measured points do not have the shape of the commanded ones: {away} off after the best alignment"
     return Fault(text, file, hint="is this the measurement of another path or list, or are rows missing or reordered?")
 
 
@@ -159,7 +161,8 @@ def _aligned(points: Array, tool: Index | None, path: Path, tools: Array, file: 
     if mirrored.miss <= limit:
         text = "the track is a mirror image of the path"
         raise InputError([Fault(text, file, hint=MIRRORED)])
-    text = f"the track does not have the shape of the path: {alignment.miss:.3g} mm off after the best alignment"
+    away = units.sized(alignment.miss, "length")
+    text = f"the track does not have the shape of the path: {away} off after the best alignment"
     hint = "is this the track of another path, or are vertices missing or in another order?"
     raise InputError([Fault(text, file, hint=hint)])
 
