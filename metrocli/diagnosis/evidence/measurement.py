@@ -254,6 +254,10 @@ class Measurement:
 
     def scatter(self, number: int) -> Random:
         """Return an effect at all its places, with sizes of one variance in the unit of its parameters."""
+        if self.unweighted is not None:
+            # which directions are too small to see is not asked anew: a state keeps its columns under other weights
+            own = self.unweighted.scatter(number)
+            return replace(own, columns=own.columns * self.weights[:, None])
         rows = self.system.rows
         columns = [scatter.columns.whole(range(scatter.columns.count), rows) for scatter in self.scatters[number]]
         every = np.concatenate([column.reshape(rows, -1) for column in columns], axis=1)

@@ -14,6 +14,7 @@ from metrocli.diagnosis.evidence.moves import Move
 from metrocli.diagnosis.evidence.parts import CORRELATED, EFFECT, SCATTER
 from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.evidence.variances import Found, scattered_effects
+from metrocli.diagnosis.evidence.weights import with_noise
 from metrocli.diagnosis.explanations import not_confirmed, with_confirmed
 from metrocli.diagnosis.rounds import _terms_instead
 from tests.diagnosis.evidence.test_dense import with_residual
@@ -36,6 +37,18 @@ def test_the_cause_that_an_unconfirmed_shape_stood_for_is_named(seed: int) -> No
     state, lost = with_confirmed(job, begin)
     assert lost[0] == against and all(one.kind != SCATTER for one in state.random)
     assert [state.measurement.alternative(one.key).effect.name for one in state.named] == ["axis-skew"]
+
+
+def test_a_part_that_leaves_and_enters_again_has_the_same_columns() -> None:
+    """Noise of two images that is found between makes other directions of a smooth effect too small to see."""
+    rng = np.random.default_rng(22)
+    m = measurement_of(images.read(board_scene(rng, 8, (5, 4)), rng).adjusted())
+    number = next(i for i, families in enumerate(m.scatters) if families[0].name == "lens-shape")
+    before = State.of(m, random=[m.scatter(number)], logs=[0.0])
+    noisier = [i for i, unit in enumerate(m.units) if unit[0] == "image"][:4]
+    weighted = with_noise(m, dict.fromkeys(noisier, 30.0))
+    (stays,), enters = before.at(weighted).random, weighted.random(SCATTER, (number, 0, -1))
+    assert stays.unit == enters.unit and np.allclose(stays.columns, enters.columns, rtol=1e-12, atol=0)
 
 
 def test_an_effect_at_all_its_places_is_not_like_an_error_with_its_number() -> None:
