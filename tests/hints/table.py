@@ -266,6 +266,8 @@ CAMERAS = [
         {SEEN: then(cells("u_px", lambda u: 639 - float(u), "view3.png"), cells("v_px", lambda v: 479 - float(v), "view3.png"))}, "status: ", slow=True),
     Row("{} fits no view of a flat board, by {} px: are its targets in another order?", "board", CAMERA,
         {SEEN: reordered("target", "view3.png", lambda old: [*old[1:], old[0]])}, {SEEN: put("view3.png,A0,", "view3.png,F8,")}, "view3.png", slow=True),
+    Row("{} and {} are exchanged in image {}", "network", CAMERA, {SEEN: exchanged("target", "T2", "T17", "view02.png")},
+        {SEEN: exchanged("target", "T2", "T17", "view02.png"), "job.yaml": more("outliers: remove")}, "view02.png/T2", "T2 and T17", slow=True),
     Row("use fewer distortion parameters", "board", CAMERA,
         {"observations.csv": whole(FOLDED)}, {"observations.csv": whole(FOLDED), "job.yaml": put("k1, k2]", "k1]")}, "estimate further radial terms"),
     Row("{}; with u and v exchanged all would lie inside", "board", CAMERA, {SEEN: then(cells("u_px", lambda u: float(u) + 120), put("u_px,v_px", "v_px,u_px"))}, {SEEN: times(2, "u_px")}, "outside"),

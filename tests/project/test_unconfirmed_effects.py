@@ -30,6 +30,9 @@ def test_what_predicts_held_out_readings_worse_is_not_written(tmp_path: Path) ->
     # the density of held-out readings gains, but their errors grow by 7 %
     larger = replace(diagnosis, findings=(replace(finding, gain=replace(finding.gain, ratio=1.07)),))
     assert larger.verdict is Verdict.INDISTINCT and "explain" not in "".join(summary(larger))
+    # two of which none explains anything alone, as of a noise that hardly stays
+    both = replace(larger, findings=2 * larger.findings, together=finding.gain)
+    assert "  dead-path-jump LT2, dead-path-jump LT2 explain " in "".join(summary(both))
     # beside the effects of an extended job, what explains less than 5 % of its misfit is a rest, whatever its cause
     scale = next(effect for effect in larger.job.effects if effect.name == "tracer-scale")
     model = with_effect(larger.job.model, scale, [("LT1",)], {})

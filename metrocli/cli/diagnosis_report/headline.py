@@ -60,7 +60,8 @@ def summary(diagnosis: Diagnosis) -> Iterator[str]:
     gain = diagnosis.gain
     if gain is None or not (gain.explains or diagnosis.verdict is Verdict.EXPLAINED):
         return
-    names = [str(effect) for effect in diagnosis.identified if effect.gain.explains or not gain.explains]
+    # several may explain together what each alone does not
+    names = [str(one) for one in diagnosis.identified if one.gain.explains] or list(map(str, diagnosis.identified))
     explained = f"{100 * gain.explained:.0f} %" if gain.explained > LEAST_CHANGE else "little"
     verb, remains = "explain" if len(names) > 1 else "explains", ""
     rest = [error for error in diagnosis.correlated_errors if error.is_in_unit_of(diagnosis.job.reading[1])]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -18,7 +18,6 @@ from metrocli.instruments.lenses.conventions import projection_range
 from metrocli.instruments.lenses.distortion import RADIAL, RATIONAL
 from metrocli.table import Table
 from metrocli.tasks.calibrate_camera.problem import CameraProblem
-from metrocli.tasks.calibrate_camera.wrong_images.strange import strange_images
 from metrocli.tasks.shared.images.adjustment import AdjustedImages
 from metrocli.tasks.shared.images.camera_parameters import HIGH_CORRELATION
 from metrocli.words import counted
@@ -30,16 +29,15 @@ _SHOWN = 4
 """Most targets whose rejected readings are counted in a message"""
 
 
-def explained(problem: CameraProblem, solution: Solution, rejected: Table) -> str:
+def explained(problem: CameraProblem, solution: Solution, rejected: Table, strange: Sequence[str]) -> str:
     """Return the message of an undetermined calibration: which parameters, why, and what would determine them.
 
-    `rejected` are the readings that were left out as outliers before.
+    `rejected` are the readings that were left out as outliers before, `strange` states those that spoil the others.
     """
     lines = [f"{solution.outcome.value}: {solution.observations} readings, {solution.unknowns} unknowns"]
     lines += [f"  undetermined: {in_words(str(combination))}" for combination in solution.undetermined[:3]]
     if len(solution.undetermined) > 3:
         lines.append(f"  and {len(solution.undetermined) - 3} more combinations")
-    strange = strange_images(problem, problem.images)
     advice = [] if strange else _advice(problem, solution)
     noticed = [f"  noticed: {line}" for line in [*strange, *problem.sighted.warnings][:8]]
     return "\n".join([*lines, *advice, *_left_out(rejected), *noticed])

@@ -99,7 +99,15 @@ def _by_turns(problem: CameraProblem) -> CameraProblem:
     solution = adjust(
         blocks.values(), [problem.images, *problem.others], None, StoppingRule(limit=_STEPS, covariance=False)
     )
-    return _valued(problem, solution.blocks)
+    placed = _valued(problem, solution.blocks)
+    astray = _strayed(placed, camera.TARGET)
+    if not astray.any():
+        return placed
+    # one wrong reading pulls a target away from all of its right ones, which meet at another place
+    robust = _valued(problem, _robust(problem, blocks))
+    meet = (astray & ~_strayed(robust, camera.TARGET))[:, None]
+    places = np.where(meet, *(each.blocks[camera.TARGET].values for each in (robust, placed)))
+    return placed.with_blocks({**placed.blocks, camera.TARGET: placed.blocks[camera.TARGET].with_values(places)})
 
 
 def _robust(problem: CameraProblem, blocks: Mapping[str, Block], datum: Datum | None = None) -> Mapping[str, Block]:

@@ -6,6 +6,8 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
 
+import numpy as np
+
 from metrocli.adjust.clusters.robust import FROM_RESIDUALS, STRUCTURED, must_suffice
 from metrocli.adjust.outcome import Outcome
 from metrocli.diagnosis.adjusted_job import AdjustedJob
@@ -24,6 +26,7 @@ from metrocli.tasks.calibrate_camera.effects import EFFECTS, PLACES
 from metrocli.tasks.calibrate_camera.multi_camera import task as multi_camera
 from metrocli.tasks.calibrate_camera.multi_camera.alone import pinholes
 from metrocli.tasks.calibrate_camera.multi_camera.paired import as_several
+from metrocli.tasks.calibrate_camera.multi_camera.system import CameraSystem
 from metrocli.tasks.calibrate_camera.other_lenses import fisheye_instead, other_models
 from metrocli.tasks.calibrate_camera.problem import CameraProblem
 from metrocli.tasks.calibrate_camera.readings import sighted_in
@@ -44,11 +47,15 @@ from metrocli.tasks.shared.images.adjustment import (
 )
 from metrocli.tasks.shared.images.camera_parameters import delivered
 from metrocli.tasks.shared.images.covariates import with_all_readings
+from metrocli.tasks.shared.images.exchanged import exchanged_targets
 from metrocli.tasks.shared.images.lost import apart_from_others
 from metrocli.tasks.shared.images.places import not_sought
 from metrocli.tasks.shared.images.settings import SPLINE
 from metrocli.tasks.shared.images.tables import root_mean_square
 from metrocli.words import listed
+
+_Other = tuple[Mistake, Job[Settings, Files]]
+"""What may be wrong, and the job that is right then"""
 
 
 def run(job: Job[Settings, Files]) -> Result:
@@ -84,29 +91,40 @@ def diagnosed(job: Job[Settings, Files]) -> AdjustedJob:
     return replace(whole, not_sought=not_sought(settings.shutter, whole.model), noticed=noticed)
 
 
-def other_settings(job: Job[Settings, Files], fits: bool) -> Iterator[tuple[Mistake, Job[Settings, Files]]]:
-    """Yield several cameras in place of one whose images pair, mirrored images, and a fisheye in place of a pinhole.
+def other_settings(job: Job[Settings, Files], fits: bool) -> Iterator[_Other]:
+    """Yield cameras in place of one whose images pair, mirrored images, exchanged names, a fisheye for a pinhole.
 
     The model is compared with the readings where no declared noise fits.
     """
     settings = job.settings
-    if settings.cameras is None:
-        yield from as_several(job)
-        try:
-            problem = prepared(job)[1]
-        except FAILURES:
-            # what fails before an adjustment is not in the settings: corrections of its files are tried
-            return
-        yield from turned.other_settings(job, problem)
     each: list[CameraSettings] = [settings.camera] if settings.cameras is None else [*settings.cameras.values()]
     known = fits and isinstance(settings.noise, float)
+    if settings.cameras is None:
+        yield from as_several(job)
+    elif known:
+        return
+    try:
+        problem = prepared(job)[1] if settings.cameras is None else multi_camera.prepared(job, settings.cameras)
+    except FAILURES:
+        # what fails before an adjustment is not in the settings: corrections of its files are tried
+        return
+    if isinstance(problem, CameraProblem):
+        yield from turned.other_settings(job, problem)
+    yield from _exchanged(job, problem)
     if known or not any(camera.convention == "forward" and camera.model != SPLINE for camera in each):
         return
-    if settings.cameras is None:
+    if isinstance(problem, CameraProblem):
         yield from other_lenses.other_settings(job, problem)
     else:
-        system = multi_camera.prepared(job, settings.cameras)
-        yield from other_lenses.other_settings_of_several(job, dict(pinholes(system)))
+        yield from other_lenses.other_settings_of_several(job, dict(pinholes(problem)))
+
+
+def _exchanged(job: Job[Settings, Files], problem: CameraProblem | CameraSystem) -> Iterator[_Other]:
+    """Yield the job with names of targets that may be exchanged in an image corrected."""
+    table = job.files.observations
+    if table is not None:
+        for mistake, right in exchanged_targets(problem.images, problem.blocks, table):
+            yield mistake, job.with_files(observations=right)
 
 
 def compare(job: Job[Settings, Files]) -> Table:
@@ -158,33 +176,44 @@ def solved(settings: Settings, problem: CameraProblem) -> AdjustedImages:
         must_suffice(len(problem.sighted.images), "images")
     remove, estimate_noise = settings.outliers == "remove", settings.noise in FROM_RESIDUALS
     options = Options(remove, estimate_noise, problem.image_size, robustly_started(problem, settings.camera))
+
+    def strange() -> list[str]:
+        return strange_images(problem, problem.images) or _strange_beside_others(problem, options)
+
     try:
         adjusted = adjust_images(problem.blocks, problem.images, problem.others, problem.datum, options)
     except InputError as error:
-        if strange := strange_images(problem, problem.images):
-            raise InputError(f"the readings fit no pose: {'; '.join(strange)}") from error
+        if images := strange_images(problem, problem.images):
+            raise InputError(f"the readings fit no pose: {'; '.join(images)}") from error
         raise
     solution = adjusted.solution
     if solution.undetermined or solution.outcome is Outcome.TOO_FEW or ran_out(problem, solution):
-        raise UndeterminedError(explained(problem, solution, adjusted.rejected), solution.misfit)
+        raise UndeterminedError(explained(problem, solution, adjusted.rejected, strange()), solution.misfit)
     if not solution.outcome.good:
         off = root_mean_square(problem.images.residuals({**problem.blocks, **solution.blocks}))
         other = fisheye_instead(problem, settings.camera, off)
-        strange = strange_images(problem, problem.images) or _strange_beside_others(problem, options)
-        must_converge(solution, (*other, *strange))
+        must_converge(solution, (*other, *strange()))
     return adjusted
 
 
 def _strange_beside_others(problem: CameraProblem, options: Options) -> list[str]:
-    """Return which images most points have to be left out of, so that the others fit."""
+    """Return which images most points have to be left out of, so that the others fit, or else which points."""
     if options.remove_outliers:
         return []
-    rest = adjust_images(
-        problem.blocks, problem.images, problem.others, problem.datum, replace(options, remove_outliers=True)
-    )
-    images = apart_from_others(problem.images, rest.group, rest.rejected) if rest.solution.outcome.good else []
-    fits = "do not fit those of the other images, which fit each other; check the names of their targets"
-    return [f"the points of {listed(images)} {fits}"] if images else []
+    try:
+        rest = adjust_images(
+            problem.blocks, problem.images, problem.others, problem.datum, replace(options, remove_outliers=True)
+        )
+    except InputError:
+        return []
+    if not rest.solution.outcome.good or not len(rest.rejected):
+        return []
+    images = apart_from_others(problem.images, rest.group, rest.rejected)
+    worst = np.argsort(-np.nan_to_num(rest.rejected.numbers("w")), kind="stable")
+    where = (rest.rejected.texts(key) for key in ("image", "target"))
+    names = images or np.array(list(map("/".join, zip(*where, strict=True))))[worst].tolist()
+    points = f"the points of {listed(names)} do" if images else f"the points {listed(names)} do"
+    return [f"{points} not fit those of the other images, which fit each other; check the names of their targets"]
 
 
 TASK = Task(

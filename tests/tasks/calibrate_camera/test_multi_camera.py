@@ -161,6 +161,14 @@ def test_a_mirrored_image_of_a_pair_is_named(tmp_path: Path, metrocli: Metrocli)
     assert ran.code == 3 and "(image right3.png: the board is seen from the other side" in ran.err, ran.err
 
 
+def test_names_exchanged_in_an_image_of_one_camera_are_named(tmp_path: Path, metrocli: Metrocli) -> None:
+    images = seen(6)
+    images["right3.png"][[16, 18]] = images["right3.png"][[18, 16]]
+    ran = metrocli("diagnose", job(tmp_path, images), "--quick", "--json")
+    mistake = json.loads(ran.out)["mistake"]
+    assert "16 and 18 are exchanged in image right3.png" in str(mistake)
+
+
 def test_cameras_without_a_common_image_are_refused(tmp_path: Path, metrocli: Metrocli) -> None:
     images = {name: uv for name, uv in seen(10).items() if (int(name[-5]) < 5) == name.startswith("left")}
     ran = metrocli("calibrate-camera", job(tmp_path, images))

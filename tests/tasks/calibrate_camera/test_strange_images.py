@@ -80,10 +80,11 @@ def mirrored(job: Job[Settings, Files], one: str, width: int) -> Job[Settings, F
     return replace(job, files=replace(job.files, observations=Table({**seen.columns, "u": turned}, seen.units)))
 
 
-def test_a_mirrored_image_of_a_board_is_named() -> None:
-    """It fits the board seen from behind, so no residual shows it."""
+@pytest.mark.parametrize("rig", ["board", "network"])
+def test_a_mirrored_image_of_a_board_is_named(rig: str) -> None:
+    """It fits the board seen from behind, so no residual shows it; of a network it was 44 times as noisy as others."""
     text = "image i05: the board is seen from the other side than in the others; mirrored?"
-    assert text in calibrate_camera.run(mirrored(measured(2, wrong=False), "i05", SIZE[0])).warnings
+    assert text in calibrate_camera.run(mirrored(measured(2, wrong=False, rig=rig), "i05", SIZE[0])).warnings
     assert not [line for line in calibrate_camera.run(measured(2, wrong=False)).warnings if "other side" in line]
 
 

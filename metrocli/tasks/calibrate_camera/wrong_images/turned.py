@@ -140,11 +140,12 @@ def other_settings(job: Job[Settings, Files], problem: CameraProblem) -> Iterato
 
 
 def behind(problem: CameraProblem) -> list[str]:
-    """Return the images that show a flat board from the other side than most."""
-    if problem.rig != "board":
+    """Return the images that show a flat board, or a flat list of a network, from the other side than most."""
+    if problem.rig == "cmm":
         return []
     points = problem.sighted.targets.points[np.unique(problem.sighted.target)]
-    few = on_the_other_side(poses.inverse(problem.blocks[camera.VIEW].values)[:, :3], points)
+    views = problem.blocks[camera.VIEW].values
+    few = on_the_other_side((poses.inverse(views) if problem.rig == "board" else views)[:, :3], points)
     few &= problem.blocks[camera.VIEW].free.any(axis=1)  # an image that lost all readings has no pose
     return [name for name, there in zip(problem.sighted.images, few, strict=True) if there]
 
