@@ -60,7 +60,7 @@ def _random_effect(state: State, number: int) -> RandomEffect:
         std,
         std * relative_spread(state, number),
         float(log_family(log_level_of(state.score + part.price - less.score), m.prices.causes)),
-        sum(family.columns.count for family in families),
+        sum(int(family.shown.any(axis=1).sum()) for family in families),
         _as_likely(state, less),
         gain_of_parts(state, [part]),
         0.0 if wider is None else result_change(m.job, wider),

@@ -94,7 +94,7 @@ class RandomEffect:
     log_level: float
     """ln of the significance level against no such scatter"""
     places: int
-    """Number of all its places"""
+    """Number of its places that the readings show"""
     rivals: tuple[Instead, ...]
     gain: Gain
     shift: float

@@ -176,12 +176,15 @@ class Fit:
             bend[j] += count - 2 * trace + squares
 
         if (products.of_shared >= 0).any():
-            # the triangle of the inverse above its diagonal; the factor has left zeros below
-            inverse = dpotri(self.lower.T)[0]
-            for j, (a, b) in _stretches(products.of_shared):
+            # the unknowns stand first: the end of the factor is that of the inverse for all after them. Of this one
+            # it is the triangle above the diagonal; the factor has left zeros below
+            first = products.unknowns
+            inverse = dpotri(self.lower[first:, first:].T)[0]
+            for j, (a, b) in _stretches(products.of_shared[first:]):
                 own, variances = inverse[a:b, a:b] / variance[j], np.diag(inverse)[a:b] / variance[j]
                 squares = 2 * float(np.vdot(own, own)) - float(variances @ variances)
-                add(j, self.sizes[a:b] / np.sqrt(variance[j]), b - a, float(variances.sum()), squares)
+                sizes = self.sizes[first + a : first + b] / np.sqrt(variance[j])
+                add(j, sizes, b - a, float(variances.sum()), squares)
         if len(products.own) and products.of_local.size:
             left, shared = np.swapaxes(self.half, 1, 2), self.shown[:, :, :-1]
             sizes = (left @ (self.shown[:, :, -1] - shared @ self.sizes)[:, :, None])[:, :, 0]

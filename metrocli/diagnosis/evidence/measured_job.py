@@ -103,10 +103,10 @@ def _scatters(
             by_name.setdefault(family.name, []).append(family)
     scatters = []
     for own in by_name.values():
-        columns = sum(family.columns.count * family.columns.parameters for family in own)
+        columns = sum(int(family.shown.sum()) for family in own)
         # coefficients of a smooth effect are its freedoms, where another effect has one place for each alternative
         places = columns if own[0].effect.is_smooth else sum(family.columns.count for family in own)
-        if places >= _PLACES and system.rows * columns**2 <= _MOST:
+        if min(places, columns) >= _PLACES and system.rows * columns**2 <= _MOST:
             scatters.append(tuple(own))
     return scatters
 

@@ -265,6 +265,9 @@ class Measurement:
             # a turn of the coefficients leaves them independent; most directions of a smooth shape are too small to see
             values, vectors = np.linalg.eigh(every.T @ every)
             every = every @ vectors[:, values > _SMOOTH * values[-1]]
+        else:
+            # what the unknowns absorb wholly shows in no likelihood
+            every = every[:, np.concatenate([family.shown.ravel() for family in self.scatters[number]])]
         norms = np.linalg.norm(every, axis=0)
         typical = float(np.median(norms[norms > 0])) if norms.any() else 1.0
         # divided by the typical length, so that ln of its variance starts near 0; `unit` brings the size back

@@ -10,10 +10,10 @@ from dataclasses import field, replace
 
 import numpy as np
 
-from metrocli.arrays import Array, Index
+from metrocli.arrays import Array, Index, Mask
 from metrocli.diagnosis.linear.column_parts import OwnColumns, StepColumns
 from metrocli.diagnosis.linear.columns import CandidateColumns
-from metrocli.diagnosis.linear.projection import Linearised
+from metrocli.diagnosis.linear.projection import VISIBLE, Linearised
 from metrocli.diagnosis.linear.scans import any_apart, is_filled, sketch_vectors
 from metrocli.diagnosis.linear.signatures import scan
 from metrocli.effects.effect import Effect
@@ -92,6 +92,11 @@ class CandidateGroup:
     def form(self) -> tuple[str, int, int]:
         """Name, number of alternatives and number of columns of each, by which families of other tests are matched."""
         return self.name, self.columns.count, self.columns.parameters
+
+    @property
+    def shown(self) -> Mask:
+        """Which columns the unknowns do not absorb wholly, as they do the places of free targets, (alternatives, q)."""
+        return np.asarray(np.einsum("kqq->kq", self.gram) > (VISIBLE * self.raw) ** 2)
 
     def only(self, chosen: Sequence[int]) -> CandidateGroup:
         """Return it with some of its alternatives, which are numbered anew."""
