@@ -116,7 +116,7 @@ def _best(state: State, possible: Sequence[Move]) -> State | None:
     best = max(tried, key=lambda trial: trial[0])
     chosen = best[2]
     alike = [trial for trial in tried if trial[0] > best[0] - ALIKE]
-    # what the job states wrongly can be corrected: its sigma stands before an effect at all places that explains as much
+    # what the job states can be corrected: its sigma stands before an effect at all places that explains as much
     given = [trial for trial in alike if trial[2].given and not chosen.fixed]
     # so can an effect: noise of its place, or a correlated error, does not say what is wrong there
     says_little = chosen.noise is not None or chosen.has_correlated
