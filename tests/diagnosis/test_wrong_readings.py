@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+from tasks.shared.images import small_jobs
 
 from benchmarks.hidden import images, launch, lengths
 from benchmarks.hidden_effects import KINDS
@@ -13,6 +15,8 @@ from metrocli.cli.diagnosis_report.findings import of_diagnosis
 from metrocli.cli.diagnosis_report.loop import loop_text
 from metrocli.diagnosis.diagnose import diagnose
 from metrocli.diagnosis.verdict import as_data
+from metrocli.project.diagnosed import adjusted_job_of
+from metrocli.project.job import load
 from metrocli.project.until_clean import End, Loop
 
 
@@ -153,3 +157,15 @@ def test_a_wrong_first_length_is_no_jump() -> None:
     (wrong,) = as_data(found)["outliers"]
     assert found.verdict == "clean" and wrong["observation"] == {"point": f"P{m.point[at]}", "tracer": "T2"}
     assert {"name": "dead-path-jump", "where": {"tracer": "T2"}} in wrong["or_effects"]
+
+
+def test_a_target_that_a_single_image_shows_elsewhere_is_no_moved_one(tmp_path: Path) -> None:
+    """Its depth is not seen, and nothing but its one image speaks for the move."""
+    job = small_jobs.cmm(tmp_path)
+    lines = (tmp_path / "observations.csv").read_text().splitlines()
+    image, target, u, v = lines[9].split(",")
+    lines[9] = f"{image},{target},{float(u) + 1.0},{float(v) + 1.5}"
+    (tmp_path / "observations.csv").write_text("\n".join(lines) + "\n")
+    found = diagnose(adjusted_job_of(load(job)))
+    assert not found.findings
+    assert {(one.keys["target"], one.keys["component"]) for one in found.outliers} == {(target, "u"), (target, "v")}

@@ -46,7 +46,7 @@ def adjusted_job(problem: CameraProblem, adjusted: AdjustedImages) -> AdjustedJo
         _delivered(problem.rig, model),
         refit(problem.datum, problem.image_size),
         left_out=len(adjusted.rejected),
-        fewest=2,
+        fewest=3,
         single_components=True,
         sharing=len(np.unique(index["view"])),
         made_together=("image",),
