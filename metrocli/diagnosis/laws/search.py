@@ -62,7 +62,7 @@ def with_laws(state: State, plain: State, ordered: Ordered = map) -> tuple[State
     simpler = [law_of(lawful.first(count), base, gain, state) for count, gain in enumerate(gains, 1)]
     chosen = max(simpler, key=lambda law: law.gain.log_score)
     # few readings predict held-out ones badly: then large evidence is enough, if they do not speak against it
-    surely = best[0].state.score > state.score + _SURELY and chosen.gain.log_score > 0
+    surely = best[0].state.score > state.score + _SURELY and chosen.gain.explains
     if not (chosen.gain.shown or surely) or chosen.undoes_positions or _is_named(chosen, state):
         return state, ()
     as_likely = _as_likely(start, lawful.terms[0])
