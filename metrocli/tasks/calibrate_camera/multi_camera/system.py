@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from metrocli.adjust.adjustment import StoppingRule, adjust
 from metrocli.adjust.clusters.robust import FROM_RESIDUALS
 from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.groups import Group, priors
@@ -27,6 +26,7 @@ from metrocli.tasks.calibrate_camera.problem import CameraProblem
 from metrocli.tasks.calibrate_camera.readings import scale_bars, units_doubted
 from metrocli.tasks.calibrate_camera.settings import OneOfSeveral, Settings
 from metrocli.tasks.calibrate_camera.shape.spline import extended, shape_of
+from metrocli.tasks.calibrate_camera.starts import robustly
 from metrocli.tasks.shared.images.adjustment import IMAGES
 from metrocli.tasks.shared.images.eccentricity import corrected
 from metrocli.tasks.shared.images.exposures import IMAGE, Exposures, exposures
@@ -34,7 +34,6 @@ from metrocli.tasks.shared.images.settings import SPLINE
 from metrocli.tasks.shared.images.sightings import Sighted, placed
 from metrocli.words import in_a_row
 
-_STEPS = 60
 _COMMON = 4
 """Fewest targets that lay the network of one camera onto that of another"""
 
@@ -132,15 +131,12 @@ def system_of(
 
 
 def _alone(rig: str, camera_of: tuple[str, OneOfSeveral], sighted: Sighted) -> CameraProblem:
-    """Return the calibration of one camera, adjusted."""
+    """Return the calibration of one camera, by values that its wrong readings do not spoil."""
     name, settings = camera_of
     try:
-        problem = build(rig, settings, sighted)
+        return robustly(build(rig, settings, sighted))
     except UndeterminedError as error:
         raise UndeterminedError(f"camera {name}: {error}") from error
-    control = StoppingRule(limit=_STEPS, covariance=False)
-    solution = adjust(problem.blocks.values(), [problem.images, *problem.others], problem.datum, control)
-    return problem.with_blocks({**problem.blocks, **solution.blocks})
 
 
 def _in_first_frame(each: Sequence[CameraProblem], order: Sequence[tuple[int, int]]) -> list[CameraProblem]:
