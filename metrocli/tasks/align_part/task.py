@@ -38,7 +38,7 @@ from metrocli.tasks.shared.images.adjustment import (
     must_fit,
 )
 from metrocli.tasks.shared.images.covariates import with_all_readings
-from metrocli.tasks.shared.images.exchanged import exchanged_targets
+from metrocli.tasks.shared.images.exchanged import wrong_names
 from metrocli.tasks.shared.images.lost import apart_from_others
 from metrocli.tasks.shared.images.places import not_sought
 from metrocli.tasks.shared.images.settings import ESTIMATE
@@ -146,7 +146,7 @@ def _near(problem: AlignmentProblem) -> dict[str, Block]:
 
 
 def other_settings(job: Job[Settings, Files], fits: bool) -> Iterator[tuple[Mistake, Job[Settings, Files]]]:
-    """Yield the job with names of targets that may be exchanged in an image corrected."""
+    """Yield the job with names of targets that may be wrong in an image corrected."""
     table = job.files.observations
     if table is None:
         return
@@ -154,7 +154,7 @@ def other_settings(job: Job[Settings, Files], fits: bool) -> Iterator[tuple[Mist
         problem = prepared(job)
     except FAILURES:
         return
-    for mistake, right in exchanged_targets(problem.images, _near(problem), table):
+    for mistake, right in wrong_names([(problem.images, _near(problem))], table):
         yield mistake, job.with_files(observations=right)
 
 

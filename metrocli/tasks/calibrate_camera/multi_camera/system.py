@@ -89,8 +89,8 @@ def system_of(
     # targets placed by a CMM are one frame for all cameras
     order = connected(exposed) if settings.rig != "cmm" else [(c, 0) for c in range(1, len(cameras))]
     size = 1.0
-    each = [_alone(settings.rig, entry, of_camera(sighted, exposed, i)) for i, entry in enumerate(cameras.items())]
-    alone = dict(zip(cameras, each, strict=True))
+    alone = calibrated_alone(settings, cameras, sighted)
+    each = list(alone.values())
     if settings.rig == "network":
         each = _in_first_frame(each, order)
         size = _size_by_bars(each[0], bars) if np.isnan(sighted.targets.sigma).all() else 1.0
@@ -128,6 +128,15 @@ def system_of(
     others = tuple(group for group in model.groups if group.name != IMAGES)
     group, consistent = corrected(model.group(IMAGES), dict(model.blocks), others, datum, targets.radius)
     return system.with_model(model.with_group(group).with_blocks(consistent))
+
+
+def calibrated_alone(
+    settings: Settings, cameras: Mapping[str, OneOfSeveral], sighted: Sighted
+) -> dict[str, CameraProblem]:
+    """Return the calibration of each camera by its own readings."""
+    exposed = exposures({name: several.images for name, several in cameras.items()}, sighted.images)
+    each = (_alone(settings.rig, entry, of_camera(sighted, exposed, i)) for i, entry in enumerate(cameras.items()))
+    return dict(zip(cameras, each, strict=True))
 
 
 def _alone(rig: str, camera_of: tuple[str, OneOfSeveral], sighted: Sighted) -> CameraProblem:
