@@ -26,7 +26,7 @@ from metrocli.diagnosis.extended_fit import readings_kept, result_change, with_r
 from metrocli.diagnosis.findings import Instead, RandomEffect, Unconfirmed
 from metrocli.diagnosis.linear.distributions import log_family
 from metrocli.diagnosis.linear.projection import READING
-from metrocli.diagnosis.noise import AS_OTHERS
+from metrocli.diagnosis.noise import AS_OTHERS, DECLARED_SIGMA
 from metrocli.diagnosis.rounds import searched_from
 from metrocli.effects.effect import Effect
 
@@ -79,12 +79,14 @@ def _as_likely(state: State, less: State) -> tuple[Instead, ...]:
 def noise_instead(state: State, part: Fixed) -> tuple[Instead, ...]:
     """Return the larger noise of the unit at which an effect acts, if it explains the readings as well.
 
-    That of a unit of few readings, such as an image of three targets, can look like a bad pose of it.
+    That of a unit of few readings, such as an image of three targets, can look like a bad pose of it. So can that of
+    given values, of which one is wrong.
     """
     m = state.measurement
     where, noises = m.alternative(part.key).where, list[Instead]()
     for number, (key, name, rows) in enumerate(m.units):
-        if where.get(key) == name and rows.sum() <= _MOST_ROWS * part.rank and number not in m.noise:
+        here = where.get(key) == name or (key == DECLARED_SIGMA and any(name.endswith(f" {kind}") for kind in where))
+        if here and rows.sum() <= _MOST_ROWS * part.rank and number not in m.noise:
             less = state.minus([part])
             # at least the ratio from which a noise is reported: a smaller one is that of all readings, and no answer
             noises += _as_noise(state, less, number, max(less.ratio_of(number), AS_OTHERS))

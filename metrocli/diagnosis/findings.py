@@ -16,7 +16,7 @@ from metrocli.diagnosis.evidence.prices import LITTLE
 from metrocli.diagnosis.extended_fit import EffectSize
 from metrocli.diagnosis.laws.law import Law
 from metrocli.diagnosis.linear.projection import READING
-from metrocli.diagnosis.noise import NoiseRatio, VarianceGroup
+from metrocli.diagnosis.noise import DECLARED_SIGMA, NoiseRatio, VarianceGroup
 from metrocli.diagnosis.status import Conclusions
 from metrocli.diagnosis.trials import Mistaken
 from metrocli.diagnosis.wrong_readings import Outlier
@@ -78,6 +78,8 @@ class Instead:
     """Ratio of its likelihood to that of what was found"""
 
     def __str__(self) -> str:
+        if DECLARED_SIGMA in self.where:
+            return f"the sigma of each {self.where[DECLARED_SIGMA].removeprefix('prior of ')}"
         place = " ".join(name if key == READING else f"{key} {name}" for key, name in self.where.items())
         return f"{self.name} of {place}" if self.where else f"{self.name} everywhere"
 

@@ -45,7 +45,8 @@ def refined(state: State, entered: Collection[tuple[int, int]] | None = None) ->
         before = state
         for number in range(len(state.fixed)):
             part = state.fixed[number]
-            effect = None if part.is_reading else state.measurement.alternative(part.key).effect
+            # neither a wrong reading nor a term of a law has a family
+            effect = None if part.family < 0 else state.measurement.alternative(part.key).effect
             if effect is None or (entered is not None and part.key not in entered):
                 continue
             if entered is not None and not (effect.is_step or is_filled(effect)):

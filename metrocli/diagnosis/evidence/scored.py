@@ -17,7 +17,7 @@ from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Mask
 from metrocli.diagnosis.evidence.likelihood import Fit, Products, fit_at, likeliest
 from metrocli.diagnosis.evidence.measurement import Measurement
-from metrocli.diagnosis.evidence.parts import EFFECT, UNKNOWN, Fixed, Random
+from metrocli.diagnosis.evidence.parts import EFFECT, TERMS, UNKNOWN, Fixed, Random
 from metrocli.diagnosis.evidence.prices import FURTHER, PRIOR, gain_of_columns
 from metrocli.diagnosis.evidence.products import products_of
 from metrocli.diagnosis.linear.quadratics import solved
@@ -195,12 +195,7 @@ class Scored:
 
     def at(self, measurement: Measurement, random: bool = True) -> Self:
         """Return the state of the same parts, or of the fixed ones, in the measurement with other weights."""
-        fixed = [
-            measurement.reading(part.number)
-            if part.is_reading
-            else replace(measurement.effect(*part.key), aliases=part.aliases)
-            for part in self.fixed
-        ]
+        fixed = [self._fixed_in(measurement, part) for part in self.fixed]
         if not random:
             return type(self).of(measurement, fixed)
         here, there = self.measurement, measurement
@@ -209,6 +204,16 @@ class Scored:
             return type(self).of(there, fixed, [there.random(part.kind, part.key) for part in self.random], self.logs)
         factor = (there.weights / here.weights)[:, None]
         return type(self).of(there, fixed, [replace(p, columns=p.columns * factor) for p in self.random], self.logs)
+
+    def _fixed_in(self, measurement: Measurement, part: Fixed) -> Fixed:
+        if part.is_reading:
+            return measurement.reading(part.number)
+        if part.family >= 0:
+            return replace(measurement.effect(*part.key), aliases=part.aliases)
+        # a term of a law is added last, when only weights change any more
+        whole = part.columns * (measurement.weights / self.measurement.weights)[:, None]
+        term = measurement.term(whole, (TERMS - part.family, part.number), part.price)
+        return replace(term, turn=part.turn @ term.turn)
 
     def settled(self) -> Self:
         """Return the state with all sizes estimated until they stay."""

@@ -19,7 +19,7 @@ from metrocli.diagnosis.evidence.refined import refined
 from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.evidence.variances import correlated_errors
 from metrocli.diagnosis.evidence.weights import with_noise
-from metrocli.diagnosis.noise import AS_OTHERS
+from metrocli.diagnosis.noise import AS_OTHERS, DECLARED_SIGMA
 
 _MOST = 60
 _GAINED = 0.05
@@ -116,8 +116,8 @@ def _best(state: State, possible: Sequence[Move]) -> State | None:
     best = max(tried, key=lambda trial: trial[0])
     chosen = best[2]
     alike = [trial for trial in tried if trial[0] > best[0] - ALIKE]
-    # a sigma that the job states explains as much as an effect at all places: it is what can be corrected
-    given = [trial for trial in alike if trial[2].given]
+    # what the job states can be corrected: its sigma stands before an effect at all places that explains as much
+    given = [trial for trial in alike if trial[2].given and not chosen.fixed]
     # so can an effect: noise of its place, or a correlated error, does not say what is wrong there
     says_little = chosen.noise is not None or chosen.has_correlated
     names = [trial for trial in alike if trial[2].is_cause] if says_little else []
@@ -200,8 +200,8 @@ def swapped(state: State, without: Sequence[Fixed | Random] = ()) -> State:
     A correlated error of each unit can stand for one cause at one unit, and enters before it.
     """
     for _ in range(_SWAPS):
-        better = None
-        parts: list[Fixed | Random] = [*state.random, *state.named]
+        better = _without_given(state)
+        parts: list[Fixed | Random] = [] if better is not None else [*state.random, *state.named]
         for part in parts:
             if state.measurement.job.budget.spent():
                 return state
@@ -218,6 +218,19 @@ def swapped(state: State, without: Sequence[Fixed | Random] = ()) -> State:
             return state
         state = forward(better, without=without)
     return state
+
+
+def _without_given(state: State) -> State | None:
+    """Return a better state in which given values have the sigma that the job states, if there is one.
+
+    It can stand for one value that is wrong, where much else was wrong as it entered.
+    """
+    m = state.measurement
+    for number in (number for number in m.noise if m.units[number][0] == DECLARED_SIGMA):
+        other = forward(state.at(with_noise(m, {number: 1 / m.noise[number]})), _TRIED)
+        if other.score > state.score + _GAINED:
+            return other
+    return None
 
 
 def _margin(state: State, other: State, gone: Fixed | Random) -> float:

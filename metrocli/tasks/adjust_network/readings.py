@@ -88,8 +88,12 @@ class NetworkReadings:
         along the standing axis, as a start needs them.
         """
         places = cartesian(values)[0].T
-        places[:, 2] -= self.sightings.height[rows] + self.setups[1][self.sightings.setup[rows]]
+        places[:, 2] -= self.raised(rows)
         return places
+
+    def raised(self, rows: Index) -> Array:
+        """Return the heights of the targets above their points, (n,) mm."""
+        return np.asarray(self.sightings.height[rows] + self.setups[1][self.sightings.setup[rows]])
 
 
 def read(settings: Settings, files: Files) -> NetworkReadings:

@@ -61,6 +61,24 @@ def test_other_values_that_fit_alike_stay_beside_other_noise() -> None:
     assert [part.aliases for part in state.at(with_noise(m, {0: 2.0})).fixed] == [(alias,), ()]
 
 
+def test_a_term_of_a_law_stays_beside_other_noise_and_has_nothing_to_refine() -> None:
+    """Rivals of effects are sought after laws: their terms are of no family, and the search may change the noise."""
+    m = measurement_of(lengths.measurement(np.random.default_rng(5), 20).adjusted(), quick=True)
+    key = len(m.families), 2
+    term = m.term(m.whole(0, 1), key, 1.0)
+    state = State.of(m, [m.effect(0, 0), term])
+    assert refined(state).fixed[1] is term
+    weighted = with_noise(m, {0: 2.0})
+    found, expected = (
+        state.at(weighted),
+        State.of(weighted, [weighted.effect(0, 0), weighted.term(weighted.whole(0, 1), key, 1.0)]),
+    )
+    assert found.score == pytest.approx(expected.score)
+    assert found.fixed[1].key == term.key
+    # the sizes are those of the same parameters
+    assert found.fixed[1].columns @ np.linalg.pinv(found.fixed[1].turn) == pytest.approx(weighted.whole(0, 1))
+
+
 @pytest.mark.parametrize("quick", [True, False])
 def test_readings_beside_a_large_step_are_not_called_wrong(quick: bool) -> None:
     """A scan tries each fourth time: the readings between the step and the time tried are not wrong ones."""

@@ -220,6 +220,25 @@ def with_level_beams(readings: NetworkReadings) -> NetworkReadings:
     return replace(readings, sightings=replace(seen, values=values))
 
 
+def upright(heights: Lengths | None, points: Array) -> Array:
+    """Return the motion (6,) that turns height differences along z, if there are some."""
+    turn = np.zeros(6)
+    if heights is None:
+        return turn
+    away = points[heights.second] - points[heights.first]
+    good = np.isfinite(away).all(axis=1)
+    # height differences in one plane do not show their common direction
+    if good.sum() < 3 or np.linalg.matrix_rank(away[good], tol=1e-3 * np.abs(away[good]).max()) < 3:
+        return turn
+    up = np.linalg.lstsq(away[good], heights.values[good], rcond=None)[0]
+    up = up / np.linalg.norm(up)
+    axis = np.cross(up, [0.0, 0.0, 1.0])
+    size = np.linalg.norm(axis)
+    # with z up it stays, with z down any axis across it turns it over
+    turn[3:] = axis / size * np.arctan2(size, up[2]) if size > 1e-12 else [np.pi if up[2] < 0 else 0.0, 0.0, 0.0]
+    return turn
+
+
 _FEWEST = 3
 """Lengths that place a point, up to a mirror image"""
 

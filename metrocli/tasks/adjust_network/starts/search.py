@@ -22,8 +22,10 @@ from metrocli.tasks.adjust_network.starts.agreement import (
     list_offset,
     must_agree,
     placed_by_lengths,
+    upright,
     with_level_beams,
 )
+from metrocli.tasks.adjust_network.starts.angles import intersected, resected
 from metrocli.words import listed
 
 _ENOUGH = 200
@@ -74,9 +76,10 @@ class _Search:
         """Place set-ups until no further one can be placed."""
         while True:
             best = max(self._open(), key=lambda pair: pair[0], default=(0, -1))
-            if best[0] <= 0:
+            if best[0] > 0:
+                self.place(best[1])
+            elif not (self._resect() or self._intersect()):
                 return
-            self.place(best[1])
 
     def _open(self) -> list[tuple[int, int]]:
         """Return how many known points each set-up that can be placed shares, and its number."""
@@ -169,9 +172,25 @@ class _Search:
         self._set(number, self.readings.sightings.rounds[number][0], turn)
         self._see(number)
 
-    def intersect(self) -> None:
-        """Place points that only angles of two or more set-ups show: where their beams come nearest to each other."""
-        seen = self.readings.sightings
+    def _resect(self) -> bool:
+        """Place a levelled station by angles to known points, if there is one; return whether there is."""
+        seen, known = self.readings.sightings, self._known()
+        for number, rows in enumerate(self.rows):
+            station = seen.rounds[number][0]
+            if not self.levelled[station] or np.isfinite(self.poses[station, 0]):
+                continue
+            rows = rows[known[seen.point[rows]] & np.isfinite(seen.values[0, rows])]
+            aims = self.points[seen.point[rows]] + [0.0, 0.0, 1.0] * self.readings.raised(rows)[:, None]
+            place = resected(aims, *seen.values[:2, rows])
+            if place is not None:
+                self._set(number, station, np.array([*place[:3], 0.0, 0.0, place[3]]))
+                self._see(number)
+                return True
+        return False
+
+    def _intersect(self) -> bool:
+        """Place points that only angles show, where beams come nearest to each other; return whether there are any."""
+        seen, before = self.readings.sightings, self._known().sum()
         angles = np.isfinite(seen.values[:2]).all(axis=0) & np.isnan(self.points[seen.point]).any(axis=1)
         angles &= np.isfinite(self.gamma[seen.orientation])
         for point in np.unique(seen.point[angles]):
@@ -179,14 +198,12 @@ class _Search:
             turned = self.poses[seen.station[rows]].copy()
             level = self.levelled[seen.station[rows]]
             turned[level, 5] = self.gamma[seen.orientation[rows][level]]
-            beam = cartesian(np.stack([*seen.values[:2, rows], np.ones(len(rows))]))[0].T
-            beam = poses.apply(np.column_stack([np.zeros((len(rows), 3)), turned[:, 3:]]), beam)
-            across = np.eye(3) - beam[:, :, None] * beam[:, None]
-            matrix = across.sum(axis=0)
-            # parallel beams meet nowhere
-            if np.linalg.eigvalsh(matrix)[0] > 1e-6:
-                right = np.einsum("nab,nb->a", across, turned[:, :3])
-                self.points[point] = np.linalg.solve(matrix, right)
+            beams = cartesian(np.stack([*seen.values[:2, rows], np.ones(len(rows))]))[0].T
+            beams = poses.apply(np.column_stack([np.zeros((len(rows), 3)), turned[:, 3:]]), beams)
+            place = intersected(turned[:, :3], beams)
+            if place is not None:
+                self.points[point] = place
+        return bool(self._known().sum() > before)
 
 
 def start(readings: NetworkReadings) -> NetworkStart:
@@ -202,7 +219,7 @@ def start(readings: NetworkReadings) -> NetworkStart:
     if search.stuck() or max(disagreement(readings, begun)[0], list_offset(readings, begun)) > _LOOSE:
         search = _alone(readings)
         _onto_list(search, given)
-    search.intersect()
+    search.run()
     _must_be_joined(search)
     search.points = placed_by_lengths(readings, search.points)
     must_agree(readings, search.network_start())
@@ -220,29 +237,8 @@ def _alone(readings: NetworkReadings) -> _Search:
     search.begin_with(begin)
     search.run()
     if not any(level):
-        _level(search)
+        _moved(search, upright(readings.heights, search.points))
     return search
-
-
-def _level(search: _Search) -> None:
-    """Turn the frame so that height differences are along z, if there are some."""
-    heights = search.readings.heights
-    if heights is None:
-        return
-    away = search.points[heights.second] - search.points[heights.first]
-    good = np.isfinite(away).all(axis=1)
-    # height differences in one plane do not show their common direction
-    if good.sum() < 3 or np.linalg.matrix_rank(away[good], tol=1e-3 * np.abs(away[good]).max()) < 3:
-        return
-    up = np.linalg.lstsq(away[good], heights.values[good], rcond=None)[0]
-    up = up / np.linalg.norm(up)
-    axis = np.cross(up, [0.0, 0.0, 1.0])
-    angle = np.arctan2(np.linalg.norm(axis), up[2])
-    size = np.linalg.norm(axis)
-    turn = np.zeros(6)
-    # with z up it stays, with z down any axis across it turns it over
-    turn[3:] = axis / size * angle if size > 1e-12 else [np.pi if up[2] < 0 else 0.0, 0.0, 0.0]
-    _moved(search, turn)
 
 
 def _onto_list(search: _Search, given: Array) -> None:
@@ -294,4 +290,8 @@ def _reason(search: _Search, station: int) -> str:
         return f"the {len(shared)} points that it shares with the rest lie on a line; a point beside the line closes it"
     names = listed([search.readings.points.names[i] for i in shared]) or "no point"
     word = "two points" if need == 2 else "three points that are not on a line"
-    return f"it shares {names} with the rest; it needs {word} with azimuth, elevation and distance"
+    aimed = np.setdiff1d(seen.point[rows[known[seen.point[rows]]]], shared)
+    of = listed([search.readings.points.names[i] for i in aimed])
+    more = f"; distances are missing to {of}" * bool(of)
+    more += ", or azimuths of three points that are not on a circle with it" * (need == 2)
+    return f"it shares {names} with the rest; it needs {word} with azimuth, elevation and distance{more}"
