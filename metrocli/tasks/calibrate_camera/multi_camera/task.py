@@ -56,8 +56,8 @@ def diagnosed(job: Job[Settings, Files], cameras: Mapping[str, OneOfSeveral]) ->
 
 def prepared(job: Job[Settings, Files], cameras: Mapping[str, OneOfSeveral]) -> CameraSystem:
     """Return the adjustment of all cameras with starting values and effects."""
-    sighted, bars = sighted_in(job.settings, job.files), job.files.scale_bars
-    return system_of(job.settings, _with_sizes(job, cameras), sighted, bars).with_effects(job.effects)
+    settings, files, cameras = job.settings, job.files, _with_sizes(job, cameras)
+    return system_of(settings, cameras, sighted_in(settings, files), files.scale_bars).with_effects(job.effects)
 
 
 def alone(job: Job[Settings, Files], cameras: Mapping[str, OneOfSeveral]) -> dict[str, CameraProblem]:
