@@ -69,7 +69,8 @@ def start(
     ratio = focal / guess if focal else (_focal_of_homographies(telling) if planar else _focal_of_projections(telling))
     maps[:, :2] /= ratio
     started = _poses_of_homographies(maps) if planar else _poses_of_projections(maps)
-    if not planar:
+    # wrong readings can turn the map of a board so that its points are behind the camera
+    if not planar or not np.isfinite(_misfit(scene.selected(keep), local, rays[:, keep] / ratio, started)).all():
         started = _resected(scene.selected(keep), local, rays[:, keep] / ratio, started, again)
     started[:, :3] *= scale
     return ratio * guess, poses.compose(started, np.broadcast_to(to_plane, started.shape))

@@ -339,7 +339,10 @@ JOINED = "tasks/fit_points/test_joined.py"
 BLUNDERS = "tasks/multilaterate/test_blunders.py"
 STRANGE = "tasks/calibrate_camera/test_strange_images.py"
 POSES, MISREAD = "tasks/align_part/test_exchanged_poses.py", "tasks/fit_part/test_misread.py"
+IN_IMAGES = "tasks/calibrate_camera/test_exchanged_targets.py"
 ELSEWHERE = {
+    "the names of targets in the rows of {} stand one row too {}": (
+        (IN_IMAGES, "test_names_that_stand_one_row_too_high_are_named"), (IN_IMAGES, "test_exchanged_names_are_found_in_one_image_and_in_two")),
     "u and v of {} are exchanged": (
         (STRANGE, "test_an_image_whose_u_and_v_are_exchanged_is_named"),
         (STRANGE, "test_a_diagnosis_has_images_that_no_residual_shows")),

@@ -108,6 +108,17 @@ def test_mixed_up_targets_do_not_spoil_the_start() -> None:
         assert np.abs(poses.difference(found, seen.poses)[:, 3:]).max() < 0.1
 
 
+def test_exchanged_neighbours_do_not_put_a_board_behind_the_camera() -> None:
+    """They are too near for gross errors, and turned the map of the board: its calibration then had no start."""
+    points, rng = board(7, 5, 25.0), np.random.default_rng(189)
+    seen = look(points, 4, 189, tilt=80).noisy(NOISE, 189)
+    target, rows = seen.target.copy(), np.flatnonzero(seen.view == 1)
+    at = rows[rng.integers(len(rows) - 1)]
+    target[[at, at + 1]] = target[[at + 1, at]]
+    _, found = start(scene(replace(seen, target=target)), CENTRE, None, float(SIZE[0]))
+    assert (poses.apply(found[seen.view], points[seen.target])[:, 2] > 0).all()
+
+
 def test_what_does_not_fit_a_map_is_left_out() -> None:
     rng = np.random.default_rng(1)
     points = np.column_stack([rng.uniform(-1, 1, (30, 2)), np.ones(30)])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +12,8 @@ from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.outcome import Outcome
 from metrocli.adjust.robust import robust_start, typical
 from metrocli.diagnosis.adjusted_job import AdjustedJob
+from metrocli.diagnosis.corrections import Mistake
+from metrocli.diagnosis.trials import FAILURES
 from metrocli.errors import InputError, NotConvergedError, UndeterminedError, all_faults
 from metrocli.geometry.poses import EULER, pose_from_euler
 from metrocli.instruments.spindle_camera import SPINDLE, part_in_camera
@@ -36,6 +38,7 @@ from metrocli.tasks.shared.images.adjustment import (
     must_fit,
 )
 from metrocli.tasks.shared.images.covariates import with_all_readings
+from metrocli.tasks.shared.images.exchanged import wrong_names
 from metrocli.tasks.shared.images.lost import apart_from_others
 from metrocli.tasks.shared.images.places import not_sought
 from metrocli.tasks.shared.images.settings import ESTIMATE
@@ -122,19 +125,37 @@ def solved(settings: Settings, problem: AlignmentProblem) -> AdjustedImages:
         must_suffice(len(problem.blocks[SPINDLE].members), "images")
     largest = max((camera.size for camera in problem.camera.cameras), key=max)
     options = Options(settings.outliers == "remove", settings.noise in FROM_RESIDUALS, largest, started=True)
-    images = problem.images
-    near = robust_start(problem.blocks.values(), [images, *problem.others], (images.name,), problem.datum, "view")
+    near = _near(problem)
     try:
         adjusted = _adjusted(problem, near, options)
     except (InputError, NotConvergedError) as error:
         # where more than half of the readings are far off, no few images spoil the fit of the others
-        lost = is_lost(typical(images, near), largest)
+        lost = is_lost(typical(problem.images, near), largest)
         raise error if lost else _with_images_left_out(problem, near, options, error) from None
     solution = adjusted.solution
     if solution.undetermined or solution.outcome is Outcome.TOO_FEW:
         raise UndeterminedError(explained(problem, solution), solution.misfit)
     other = mirrored_pose(problem, adjusted)
     return adjusted if other is None else solved(settings, other)
+
+
+def _near(problem: AlignmentProblem) -> dict[str, Block]:
+    """Return values near the solution that wrong readings do not spoil."""
+    images = problem.images
+    return robust_start(problem.blocks.values(), [images, *problem.others], (images.name,), problem.datum, "view")
+
+
+def other_settings(job: Job[Settings, Files], fits: bool) -> Iterator[tuple[Mistake, Job[Settings, Files]]]:
+    """Yield the job with names of targets that may be wrong in an image corrected."""
+    table = job.files.observations
+    if table is None:
+        return
+    try:
+        problem = prepared(job)
+    except FAILURES:
+        return
+    for mistake, right in wrong_names([(problem.images, _near(problem))], table):
+        yield mistake, job.with_files(observations=right)
 
 
 def _adjusted(problem: AlignmentProblem, near: Mapping[str, Block], options: Options) -> AdjustedImages:
@@ -222,5 +243,13 @@ def simulate(job: Job[Settings, Files], options: SimulationOptions) -> Simulatio
 
 
 TASK = Task(
-    Files, run, check, simulate=simulate, diagnosed=diagnosed, effects=EFFECTS, places=PLACES, covariates=all_covariates
+    Files,
+    run,
+    check,
+    simulate=simulate,
+    diagnosed=diagnosed,
+    effects=EFFECTS,
+    places=PLACES,
+    covariates=all_covariates,
+    other_settings=other_settings,
 )

@@ -24,9 +24,7 @@ from metrocli.tasks.calibrate_camera.compare import compare_models
 from metrocli.tasks.calibrate_camera.diagnosis import adjusted_job, all_covariates
 from metrocli.tasks.calibrate_camera.effects import EFFECTS, PLACES
 from metrocli.tasks.calibrate_camera.multi_camera import task as multi_camera
-from metrocli.tasks.calibrate_camera.multi_camera.alone import pinholes
 from metrocli.tasks.calibrate_camera.multi_camera.paired import as_several
-from metrocli.tasks.calibrate_camera.multi_camera.system import CameraSystem
 from metrocli.tasks.calibrate_camera.other_lenses import fisheye_instead, other_models
 from metrocli.tasks.calibrate_camera.problem import CameraProblem
 from metrocli.tasks.calibrate_camera.readings import sighted_in
@@ -47,7 +45,7 @@ from metrocli.tasks.shared.images.adjustment import (
 )
 from metrocli.tasks.shared.images.camera_parameters import delivered
 from metrocli.tasks.shared.images.covariates import with_all_readings
-from metrocli.tasks.shared.images.exchanged import exchanged_targets
+from metrocli.tasks.shared.images.exchanged import wrong_names
 from metrocli.tasks.shared.images.lost import apart_from_others
 from metrocli.tasks.shared.images.places import not_sought
 from metrocli.tasks.shared.images.settings import SPLINE
@@ -92,7 +90,7 @@ def diagnosed(job: Job[Settings, Files]) -> AdjustedJob:
 
 
 def other_settings(job: Job[Settings, Files], fits: bool) -> Iterator[_Other]:
-    """Yield cameras in place of one whose images pair, mirrored images, exchanged names, a fisheye for a pinhole.
+    """Yield cameras in place of one whose images pair, mirrored images, wrong names, a fisheye for a pinhole.
 
     The model is compared with the readings where no declared noise fits.
     """
@@ -104,27 +102,22 @@ def other_settings(job: Job[Settings, Files], fits: bool) -> Iterator[_Other]:
     elif known:
         return
     try:
-        problem = prepared(job)[1] if settings.cameras is None else multi_camera.prepared(job, settings.cameras)
+        problems = {"": prepared(job)[1]} if settings.cameras is None else multi_camera.alone(job, settings.cameras)
     except FAILURES:
         # what fails before an adjustment is not in the settings: corrections of its files are tried
         return
-    if isinstance(problem, CameraProblem):
-        yield from turned.other_settings(job, problem)
-    yield from _exchanged(job, problem)
+    if settings.cameras is None:
+        yield from turned.other_settings(job, problems[""])
+    if (table := job.files.observations) is not None:
+        for mistake, right in wrong_names([(alone.images, alone.blocks) for alone in problems.values()], table):
+            yield mistake, job.with_files(observations=right)
     if known or not any(camera.convention == "forward" and camera.model != SPLINE for camera in each):
         return
-    if isinstance(problem, CameraProblem):
-        yield from other_lenses.other_settings(job, problem)
+    if settings.cameras is None:
+        yield from other_lenses.other_settings(job, problems[""])
     else:
-        yield from other_lenses.other_settings_of_several(job, dict(pinholes(problem)))
-
-
-def _exchanged(job: Job[Settings, Files], problem: CameraProblem | CameraSystem) -> Iterator[_Other]:
-    """Yield the job with names of targets that may be exchanged in an image corrected."""
-    table = job.files.observations
-    if table is not None:
-        for mistake, right in exchanged_targets(problem.images, problem.blocks, table):
-            yield mistake, job.with_files(observations=right)
+        pinholes = {name: problem for name, problem in problems.items() if settings.cameras[name].model != SPLINE}
+        yield from other_lenses.other_settings_of_several(job, pinholes)
 
 
 def compare(job: Job[Settings, Files]) -> Table:

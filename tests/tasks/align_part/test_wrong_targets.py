@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
 import numpy as np
 import pytest
+from tasks.shared.images.small_jobs import turned
 
 from benchmarks.coverage import alignment_settings, corners, poses_over, true_camera
 from metrocli.errors import UndeterminedError
@@ -26,3 +31,17 @@ def test_a_datum_that_puts_targets_behind_a_camera_is_not_taken(seed: int) -> No
     targets.columns[axis][number] += rng.choice([-1, 1]) * rng.uniform(50, 1000)
     with pytest.raises(UndeterminedError):
         align_part.run(align_part.TASK.job(settings, true_camera(), poses, targets, observations=seen))
+
+
+def test_exchanged_names_of_targets_are_named(tmp_path: Path, metrocli: Callable[..., Any]) -> None:
+    """They were four wrong readings of an alignment that is clean."""
+    path = turned(tmp_path)
+    rows = (tmp_path / "observations.csv").read_text().splitlines()
+    one, other = (next(i for i, row in enumerate(rows) if row.startswith(f"image4,{name},")) for name in ("C2", "C5"))
+    rows[one], rows[other] = rows[one].replace("C2", "C5"), rows[other].replace("C5", "C2")
+    (tmp_path / "observations.csv").write_text("\n".join(rows))
+    ran = metrocli("align-part", path)
+    assert ran.code == 3 and "C2 and C5 are exchanged in image image4" in ran.err
+    assert "write C5 for C2 and C2 for C5 in the rows of image4" in ran.err
+    ran = metrocli("diagnose", path, "--quick")
+    assert "verdict: mistaken" in ran.out and "C2 and C5 are exchanged in image image4" in ran.out

@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from tasks.shared.images import small_jobs
 
 from benchmarks.halves import board_job, simulated
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.mistakes import misread
 from metrocli.errors import NotConvergedError, UndeterminedError
+from metrocli.formats import csv
 from metrocli.table import Table
 from metrocli.tasks.calibrate_camera import task as calibrate_camera
 from metrocli.tasks.calibrate_camera.settings import Files, Settings
 from metrocli.tasks.job import Job
+from metrocli.tasks.shared.images.search import OBSERVATIONS
 
 SIZE = (2592, 1944)
 SWAPS = [("i03", "T3", "T40"), ("i04", "T5", "T70"), ("i02", "T0", "T116")]
@@ -70,6 +75,23 @@ def test_the_calibration_refuses_exchanged_names_and_states_what_to_write() -> N
     refusal = misread(vars(wrong.files), adjusted, failed.value, partial(calibrate_camera.TASK.others, wrong))
     assert refusal is not None and "T3 and T40 are exchanged in image i03" in refusal.faults[0].message
     assert str(refusal.faults[0].hint) == "write T40 for T3 and T3 for T40 in the rows of i03"
+
+
+@pytest.mark.parametrize(
+    ("kind", "image"),
+    [pytest.param("network", "view02.png", marks=pytest.mark.slow), ("board", "view03.png"), ("turned", "image5")],
+)
+def test_names_that_stand_one_row_too_high_are_named(
+    tmp_path: Path, metrocli: Callable[..., Any], kind: str, image: str
+) -> None:
+    """More images were advised for a network, and a board was clean but for a noise of 1000 times that declared."""
+    path, seen = getattr(small_jobs, kind)(tmp_path), tmp_path / "observations.csv"
+    table = csv.read(seen, OBSERVATIONS)
+    names, rows = np.array(table.texts("target")), np.flatnonzero(np.array(table.texts("image")) == image)
+    names[rows] = np.roll(names[rows], -1)
+    csv.write(seen, table.changed({"target": names}))
+    ran = metrocli("diagnose", path, "--quick")
+    assert f"the names of targets in the rows of image {image} stand one row too high" in ran.out, ran.err
 
 
 def test_readings_that_keep_the_others_from_being_adjusted_are_named() -> None:

@@ -84,11 +84,6 @@ def fisheyes(system: CameraSystem, settings: Settings, solution: Solution) -> li
     return [f"{name}: {line}" for name, lines in each for line in lines]
 
 
-def pinholes(system: CameraSystem) -> Iterator[tuple[str, CameraProblem]]:
-    """Yield the calibration of each camera alone, but of those whose lens has a shape of its own."""
-    yield from ((name, problem) for name, problem in system.alone.items() if system.cameras[name].model != SPLINE)
-
-
 def _problems(system: CameraSystem, settings: Settings) -> Iterator[tuple[str, CameraProblem]]:
     for number, (name, alone) in enumerate(system.alone.items()):
         spline, problem = system.cameras[name].model == SPLINE, _as_noisy(alone, system, number)

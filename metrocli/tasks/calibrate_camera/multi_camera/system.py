@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from metrocli.adjust.adjustment import StoppingRule, adjust
 from metrocli.adjust.clusters.robust import FROM_RESIDUALS
 from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.groups import Group, priors
@@ -27,6 +26,7 @@ from metrocli.tasks.calibrate_camera.problem import CameraProblem
 from metrocli.tasks.calibrate_camera.readings import scale_bars, units_doubted
 from metrocli.tasks.calibrate_camera.settings import OneOfSeveral, Settings
 from metrocli.tasks.calibrate_camera.shape.spline import extended, shape_of
+from metrocli.tasks.calibrate_camera.starts import robustly
 from metrocli.tasks.shared.images.adjustment import IMAGES
 from metrocli.tasks.shared.images.eccentricity import corrected
 from metrocli.tasks.shared.images.exposures import IMAGE, Exposures, exposures
@@ -34,7 +34,6 @@ from metrocli.tasks.shared.images.settings import SPLINE
 from metrocli.tasks.shared.images.sightings import Sighted, placed
 from metrocli.words import in_a_row
 
-_STEPS = 60
 _COMMON = 4
 """Fewest targets that lay the network of one camera onto that of another"""
 
@@ -90,8 +89,8 @@ def system_of(
     # targets placed by a CMM are one frame for all cameras
     order = connected(exposed) if settings.rig != "cmm" else [(c, 0) for c in range(1, len(cameras))]
     size = 1.0
-    each = [_alone(settings.rig, entry, of_camera(sighted, exposed, i)) for i, entry in enumerate(cameras.items())]
-    alone = dict(zip(cameras, each, strict=True))
+    alone = calibrated_alone(settings, cameras, sighted)
+    each = list(alone.values())
     if settings.rig == "network":
         each = _in_first_frame(each, order)
         size = _size_by_bars(each[0], bars) if np.isnan(sighted.targets.sigma).all() else 1.0
@@ -131,16 +130,22 @@ def system_of(
     return system.with_model(model.with_group(group).with_blocks(consistent))
 
 
+def calibrated_alone(
+    settings: Settings, cameras: Mapping[str, OneOfSeveral], sighted: Sighted
+) -> dict[str, CameraProblem]:
+    """Return the calibration of each camera by its own readings."""
+    exposed = exposures({name: several.images for name, several in cameras.items()}, sighted.images)
+    each = (_alone(settings.rig, entry, of_camera(sighted, exposed, i)) for i, entry in enumerate(cameras.items()))
+    return dict(zip(cameras, each, strict=True))
+
+
 def _alone(rig: str, camera_of: tuple[str, OneOfSeveral], sighted: Sighted) -> CameraProblem:
-    """Return the calibration of one camera, adjusted."""
+    """Return the calibration of one camera, by values that its wrong readings do not spoil."""
     name, settings = camera_of
     try:
-        problem = build(rig, settings, sighted)
+        return robustly(build(rig, settings, sighted))
     except UndeterminedError as error:
         raise UndeterminedError(f"camera {name}: {error}") from error
-    control = StoppingRule(limit=_STEPS, covariance=False)
-    solution = adjust(problem.blocks.values(), [problem.images, *problem.others], problem.datum, control)
-    return problem.with_blocks({**problem.blocks, **solution.blocks})
 
 
 def _in_first_frame(each: Sequence[CameraProblem], order: Sequence[tuple[int, int]]) -> list[CameraProblem]:

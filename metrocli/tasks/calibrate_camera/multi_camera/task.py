@@ -20,7 +20,8 @@ from metrocli.tasks.calibrate_camera.advice import in_words
 from metrocli.tasks.calibrate_camera.effects import EFFECTS
 from metrocli.tasks.calibrate_camera.multi_camera.alone import fisheyes
 from metrocli.tasks.calibrate_camera.multi_camera.report import delivered, report
-from metrocli.tasks.calibrate_camera.multi_camera.system import CameraSystem, system_of
+from metrocli.tasks.calibrate_camera.multi_camera.system import CameraSystem, calibrated_alone, system_of
+from metrocli.tasks.calibrate_camera.problem import CameraProblem
 from metrocli.tasks.calibrate_camera.readings import sighted_in
 from metrocli.tasks.calibrate_camera.settings import Files, OneOfSeveral, Settings
 from metrocli.tasks.job import Job
@@ -55,10 +56,17 @@ def diagnosed(job: Job[Settings, Files], cameras: Mapping[str, OneOfSeveral]) ->
 
 def prepared(job: Job[Settings, Files], cameras: Mapping[str, OneOfSeveral]) -> CameraSystem:
     """Return the adjustment of all cameras with starting values and effects."""
-    settings, files = job.settings, job.files
-    if files.images is not None:
-        cameras = sized(cameras, files.images)
+    settings, files, cameras = job.settings, job.files, _with_sizes(job, cameras)
     return system_of(settings, cameras, sighted_in(settings, files), files.scale_bars).with_effects(job.effects)
+
+
+def alone(job: Job[Settings, Files], cameras: Mapping[str, OneOfSeveral]) -> dict[str, CameraProblem]:
+    """Return the calibration of each camera by its own readings, which others do not contradict."""
+    return calibrated_alone(job.settings, _with_sizes(job, cameras), sighted_in(job.settings, job.files))
+
+
+def _with_sizes(job: Job[Settings, Files], cameras: Mapping[str, OneOfSeveral]) -> Mapping[str, OneOfSeveral]:
+    return cameras if job.files.images is None else sized(cameras, job.files.images)
 
 
 def sized(cameras: Mapping[str, OneOfSeveral], images: ImageSet) -> dict[str, OneOfSeveral]:
