@@ -221,5 +221,6 @@ def _steps(
     for scanned in tried:
         for place, names, course, ordered in courses:
             begin = int(np.searchsorted(ordered, scanned[name]))
-            if len(course.rows) - begin >= job.fewest:
+            # what acts on all readings of a place is no change there: a ball was there from the start
+            if begin and len(course.rows) - begin >= job.fewest:
                 yield Candidate(effect, place, tuple(scanned.items()), names), StepColumns(course, begin)

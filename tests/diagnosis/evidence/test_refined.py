@@ -120,3 +120,14 @@ def test_all_periods_that_even_places_do_not_distinguish_are_listed() -> None:
     # well inside the range of the scan, 2 to 50 mm
     for period in (1 / f for f in np.unique(frequencies.round(12)) if 1 / 40 < f < 1 / 2.2):
         assert min(abs(one - period) for one in found) < 0.01 * period, period
+
+
+def test_a_step_begins_after_the_first_reading_of_its_place() -> None:
+    """What acts on all readings of a tracer, or a ball, is no change: it was so from the start."""
+    m = lengths.measurement(np.random.default_rng(3), 20)
+    kept = (m.tracer != 1) | (m.t > np.sort(np.unique(m.t))[4])
+    late = replace(m, **{name: getattr(m, name)[kept] for name in ("point", "tracer", "t", "temp", "length")})
+    system = measurement_of(late.adjusted())
+    places = [one for family in system.families for one in family.alternatives]
+    tried = [dict(one.scanned)["at"] for one in places if str(one) == "dead-path-jump T1"]
+    assert tried and min(tried) > late.t[late.tracer == 1].min()
