@@ -13,6 +13,7 @@ from metrocli.diagnosis.evidence.refined import _Scan, refined
 from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.evidence.weights import with_noise
 from metrocli.diagnosis.linear.candidates import Candidate
+from metrocli.diagnosis.linear.families import _steps
 from metrocli.diagnosis.rounds import searched
 from metrocli.tasks.adjust_network.effects import EFFECTS
 from tests.diagnosis.evidence.test_dense import number_of_effect, with_residual
@@ -127,7 +128,7 @@ def test_a_step_begins_after_the_first_reading_of_its_place() -> None:
     m = lengths.measurement(np.random.default_rng(3), 20)
     kept = (m.tracer != 1) | (m.t > np.sort(np.unique(m.t))[4])
     late = replace(m, **{name: getattr(m, name)[kept] for name in ("point", "tracer", "t", "temp", "length")})
-    system = measurement_of(late.adjusted())
-    places = [one for family in system.families for one in family.alternatives]
-    tried = [dict(one.scanned)["at"] for one in places if str(one) == "dead-path-jump T1"]
+    job = late.adjusted()
+    effect = next(one for one in job.effects if one.name == "dead-path-jump")
+    tried = [dict(one.scanned)["at"] for one, _ in _steps(job, measurement_of(job).system, effect, [("T1",)])]
     assert tried and min(tried) > late.t[late.tracer == 1].min()
