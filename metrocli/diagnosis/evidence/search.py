@@ -200,7 +200,7 @@ def swapped(state: State, without: Sequence[Fixed | Random] = ()) -> State:
     A correlated error of each unit can stand for one cause at one unit, and enters before it.
     """
     for _ in range(_SWAPS):
-        better = _without_given(state)
+        better = _without_given(state, without)
         parts: list[Fixed | Random] = [] if better is not None else [*state.random, *state.named]
         for part in parts:
             if state.measurement.job.budget.spent():
@@ -220,14 +220,15 @@ def swapped(state: State, without: Sequence[Fixed | Random] = ()) -> State:
     return state
 
 
-def _without_given(state: State) -> State | None:
+def _without_given(state: State, without: Sequence[Fixed | Random]) -> State | None:
     """Return a better state in which given values have the sigma that the job states, if there is one.
 
     It can stand for one value that is wrong, where much else was wrong as it entered.
     """
     m = state.measurement
     for number in (number for number in m.noise if m.units[number][0] == DECLARED_SIGMA):
-        other = forward(state.at(with_noise(m, {number: 1 / m.noise[number]})), _TRIED)
+        declared = state.at(with_noise(m, {number: 1 / m.noise[number]}))
+        other = forward(declared, _TRIED, without=without)
         if other.score > state.score + _GAINED:
             return other
     return None
