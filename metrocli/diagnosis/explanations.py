@@ -223,6 +223,7 @@ def _joint_rivals(state: State, name: IdentifiedEffect) -> Iterator[Rival]:
     new = [m.alternative(entry.key) for entry in other.named if entry.key not in {each.key for each in less.named}]
     # what enters as noise, or as a correlated error, is no effect in its place
     alike = len(other.random) <= len(less.random) and len(m.noise) <= len(state.measurement.noise)
+    alike &= len(other.readings) <= len(less.readings) and len(new) > 1
     if odds < -ALIKE or not alike or any(one.spot == name.alternative.spot for one in new):
         return
     known = {rival.alternative.spot for rival in name.rivals}

@@ -156,9 +156,12 @@ class Finding:
     def times_usual(self) -> float | None:
         """Its size less twice its standard uncertainty, in the largest usual size; None if none is known."""
         effect = self.effect.alternative.effect
-        alike = [size for size in self.sizes if size.parameter.dimension == effect.parameters[0].dimension]
-        parts = np.array([(size.value, size.std or 0.0) for size in alike])
-        return _times_usual(effect, *np.linalg.norm(parts, axis=0))
+        first = effect.parameters[0].dimension
+        # neither values that were scanned nor those that are not determined, which have no standard uncertainty
+        known = (
+            (size.value, size.std) for size in self.sizes if size.std is not None and size.parameter.dimension == first
+        )
+        return _times_usual(effect, *np.linalg.norm(np.reshape([*known], (-1, 2)), axis=0))
 
     def __str__(self) -> str:
         return str(self.effect.alternative)

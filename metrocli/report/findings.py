@@ -57,7 +57,7 @@ _INCOMPLETE = "its model is not complete: the diagnosis"
 _WRONG = {
     "explained": f"{_INCOMPLETE} names what is missing",
     "indistinct": f"{_INCOMPLETE} has several causes that fit alike",
-    "unexplained": f"{_INCOMPLETE} finds structure without a known cause",
+    "unexplained": f"{_INCOMPLETE} finds structure, or noise, without a known cause",
     "mistaken": "one of its files is wrong, by the diagnosis",
     "not-decided": "its diagnosis is a quick one, the first answer",
 }
@@ -214,7 +214,7 @@ _MEANING = {
     "clean": "the residuals are what noise produces",
     "explained": "with what is named here in the model, the residuals are what noise produces",
     "indistinct": "a cause is present, and others explain the readings as well",
-    "unexplained": "structure is left that no known cause explains",
+    "unexplained": "structure, or noise, is left that no known cause explains",
     "mistaken": "a file is wrong; all else is for the corrected file",
     "not-decided": "what explains most; the search for the rest was left out",
 }

@@ -77,10 +77,10 @@ def summary(diagnosis: Diagnosis) -> Iterator[str]:
 
 def beyond_usual(diagnosis: Diagnosis) -> Iterator[str]:
     """Yield what is larger than it is in practice: an effect can stand for a mistake in a file that is like it."""
-    times = {str(each): each.times_usual or 0.0 for each in diagnosis.identified}
-    beyond = {name: ratio for name, ratio in times.items() if ratio > _BEYOND_USUAL}
+    times = [(str(each), each.times_usual or 0.0) for each in diagnosis.identified]
+    beyond = [(name, ratio) for name, ratio in times if ratio > _BEYOND_USUAL]
     if beyond:
-        sizes = listed([f"{name} (at least {units.two_digits(ratio)} times)" for name, ratio in beyond.items()], _SHOWN)
+        sizes = listed([f"{name} (at least {units.two_digits(ratio)} times)" for name, ratio in beyond], _SHOWN)
         yield f"  far above the largest usual size: {sizes}; {_LOOK_FIRST}"
 
 

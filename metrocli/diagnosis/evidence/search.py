@@ -121,7 +121,7 @@ def _best(state: State, possible: Sequence[Move]) -> State | None:
     # so can an effect: noise of its place, or a correlated error, does not say what is wrong there
     says_little = chosen.noise is not None or chosen.has_correlated
     names = [trial for trial in alike if trial[2].is_cause] if says_little else []
-    return next(iter(given), max(names, key=lambda trial: trial[0], default=best))[1]()
+    return max(given or names or [best], key=lambda trial: trial[0])[1]()
 
 
 def _kept(state: State, move: Move) -> _Tried:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -54,3 +56,13 @@ def test_effects_that_explain_as_well_together_are_rivals() -> None:
     assert str(joint) in diagnosis_report.of_diagnosis(found, None)
     listed = as_data(found)["effects"][0]["alternatives"][-1]
     assert (listed["name"], listed["with"][0]["name"]) == ("encoder-offset", "encoder-eccentricity")
+
+
+def test_scanned_values_are_no_sizes_to_compare_with_usual_ones() -> None:
+    """A period of 9 mm is no amplitude, and a parameter that is not determined has no bound."""
+    found = diagnose(launch.case(700003).adjusted())
+    finding = found.findings[0]
+    whole = finding.times_usual
+    undetermined = replace(finding.sizes[0], value=1e9, std=None)
+    assert replace(finding, sizes=(*finding.sizes, undetermined)).times_usual == whole
+    assert replace(finding, sizes=(undetermined,)).times_usual == 0.0

@@ -292,6 +292,6 @@ def _reason(search: _Search, station: int) -> str:
     word = "two points" if need == 2 else "three points that are not on a line"
     aimed = np.setdiff1d(seen.point[rows[known[seen.point[rows]]]], shared)
     of = listed([search.readings.points.names[i] for i in aimed])
-    more = f"; distances are missing to {of}" * bool(of)
-    more += ", or azimuths of three points that are not on a circle with it" * (need == 2)
+    more = f"; to {of} one of them is missing" * bool(of)
+    more += "; or azimuths of three points that are not on a circle with it, and an elevation" * (need == 2)
     return f"it shares {names} with the rest; it needs {word} with azimuth, elevation and distance{more}"
