@@ -220,11 +220,13 @@ def _joint_rivals(state: State, name: IdentifiedEffect) -> Iterator[Rival]:
     less = state.minus([part])
     other = forward(less, _TOGETHER, without=[part])
     m, odds = other.measurement, other.score - state.score
-    new = [m.alternative(entry.key) for entry in other.named if entry.key not in {each.key for each in less.named}]
-    # what enters as noise, or as a correlated error, is no effect in its place
+    # by cause and place: values of a scan are refined as the search goes on
+    kept, every = ({one.measurement.alternative(each.key).spot for each in one.named} for one in (less, other))
+    new = [one for one in (m.alternative(entry.key) for entry in other.named) if one.spot not in kept]
+    # what enters as noise, a correlated error or a wrong reading, or leaves, is no effect in its place
     alike = len(other.random) <= len(less.random) and len(m.noise) <= len(state.measurement.noise)
-    alike &= len(other.readings) <= len(less.readings) and len(new) > 1
-    if odds < -ALIKE or not alike or any(one.spot == name.alternative.spot for one in new):
+    alike &= len(other.readings) <= len(less.readings) and kept <= every and len(new) > 1
+    if odds < -ALIKE or not alike or name.alternative.spot in every:
         return
     known = {rival.alternative.spot for rival in name.rivals}
     for one in (one for one in new if one.spot not in known):

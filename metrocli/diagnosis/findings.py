@@ -262,7 +262,7 @@ class Diagnosis:
             return Verdict.MISTAKEN
         if self.quick:
             return Verdict.NOT_DECIDED
-        too_noisy = self.job.declares_noise and self.noise.is_none
+        too_noisy = self.job.declares_noise and self.noise.is_implausible
         if too_noisy or (self.left is not None and not self._little_is_left):
             return Verdict.UNEXPLAINED
         if not self.findings and not self.scatters:

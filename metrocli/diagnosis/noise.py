@@ -45,9 +45,9 @@ class NoiseRatio:
         return self.low <= 1 <= self.high
 
     @property
-    def is_none(self) -> bool:
-        """Whether it is more than ten times the declared noise: a part of the readings, or a file, is wrong."""
-        return 2 * np.log(self.low) > LARGEST if self.low > 0 else False
+    def is_implausible(self) -> bool:
+        """Whether it is surely more than ten times the declared noise: some readings, or a file, are wrong."""
+        return self.low > float(np.exp(LARGEST / 2))
 
 
 @dataclass(frozen=True)

@@ -111,7 +111,7 @@ def noise_lines(diagnosis: Diagnosis) -> Iterator[str]:
         yield f"noise: {interval} times the declared noise{f' ({declared})' if declared else ''}"
         real = f"`{diagnosis.job.model_key}: {ESTIMATED}`"
         yield f"  The result's standard uncertainties are for the declared noise; {real} uses the noise that was found."
-        if noise.is_none:
+        if noise.is_implausible:
             yield f"  An instrument seldom has so much: {_LOOK_FIRST}."
         elif noise.low > 1:
             yield f"  Usual reasons: {_USUAL}."

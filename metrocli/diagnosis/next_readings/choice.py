@@ -169,7 +169,7 @@ def _of_indistinct(diagnosis: Diagnosis, proposed: Sequence[Proposal], known: Kn
     for effect in named:
         others = [other.alternative for other in named if other is not effect]
         for rival in effect.rivals[:_RIVALS]:
-            why = f"separates {effect.alternative} from {rival.alternative}"
+            why = f"separates {effect.alternative} from {rival}"
             pool = pool_of(
                 diagnosis.job, proposed, [effect.alternative, rival.alternative], [*others, *rival.beside], known
             )
