@@ -38,7 +38,6 @@ from metrocli.tasks.shared.images.adjustment import (
     must_fit,
 )
 from metrocli.tasks.shared.images.covariates import with_all_readings
-from metrocli.tasks.shared.images.exchanged import wrong_names
 from metrocli.tasks.shared.images.lost import apart_from_others
 from metrocli.tasks.shared.images.places import not_sought
 from metrocli.tasks.shared.images.settings import ESTIMATE
@@ -51,6 +50,7 @@ from metrocli.tasks.shared.images.simulation import (
     sights,
 )
 from metrocli.tasks.shared.images.target_list import known_targets
+from metrocli.tasks.shared.images.wrong_names import wrong_names
 from metrocli.words import listed
 
 

@@ -45,11 +45,11 @@ from metrocli.tasks.shared.images.adjustment import (
 )
 from metrocli.tasks.shared.images.camera_parameters import delivered
 from metrocli.tasks.shared.images.covariates import with_all_readings
-from metrocli.tasks.shared.images.exchanged import wrong_names
 from metrocli.tasks.shared.images.lost import apart_from_others
 from metrocli.tasks.shared.images.places import not_sought
 from metrocli.tasks.shared.images.settings import SPLINE
 from metrocli.tasks.shared.images.tables import root_mean_square
+from metrocli.tasks.shared.images.wrong_names import wrong_names
 from metrocli.words import listed
 
 _Other = tuple[Mistake, Job[Settings, Files]]
