@@ -33,6 +33,7 @@ COLUMN = {"t": "t_s", "temp": "temp_degC", "distance": "distance_mm"} | {
 """Column of the file that holds a condition, for messages"""
 READ_BY = {
     "list of {point}": "a list that gives it with a standard deviation above zero",
+    "exact list of {point}": "a list that gives it with sigma 0",
     "heights of {point}": "height differences that read it",
     "station in order": "stations without times",
 }
