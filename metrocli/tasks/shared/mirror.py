@@ -205,7 +205,7 @@ def mirrored(network: NetworkLengths, noise: float = 1.0) -> list[Mirrored]:
     other, gain = _refined(few, start, noise)
     apart = np.linalg.norm(other - few.places, axis=1)
     from_first, from_other = (np.linalg.norm(few.listed - place, axis=1) for place in (few.places, other))
-    # near to the first, or within its uncertainty, it is the same (docs/decisions/170-mirror-images.md)
+    # nearer to the first than to the image, or within its std, it is the same (docs/decisions/170-mirror-images.md)
     second = (apart > _APART * np.linalg.norm(few.std, axis=1)) & (np.linalg.norm(other - start, axis=1) < apart)
     members, ambiguous = np.flatnonzero(tried), (gain > -_CHI_SQUARE) & second & np.isfinite(apart)
     return [
