@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
@@ -33,6 +34,7 @@ COLUMN = {"t": "t_s", "temp": "temp_degC", "distance": "distance_mm"} | {
 """Column of the file that holds a condition, for messages"""
 READ_BY = {
     "list of {point}": "a list that gives it with a standard deviation above zero",
+    "exact list of {point}": "a list that gives it with sigma 0",
     "heights of {point}": "height differences that read it",
     "station in order": "stations without times",
 }
@@ -221,6 +223,15 @@ class Effect:
     def needed(self, where: Mapping[str, str]) -> tuple[str, ...]:
         """Return the names of the conditions that it needs at a place."""
         return tuple(name.format(**where) for name in self.needs)
+
+    def larger(self, factor: float) -> Effect:
+        """Return the effect with usual and plausible sizes that are a factor larger."""
+        if factor == 1:
+            return self
+        scaled = (float(f"{float(word) * factor:.2g}") if word[0].isdigit() else word for word in self.usual.split())
+        words = [word if isinstance(word, str) else f"{word:g}" for word in scaled]
+        parameters = tuple(replace(parameter, plausible=parameter.plausible * factor) for parameter in self.parameters)
+        return replace(self, usual=" ".join(words), parameters=parameters)
 
     @cached_property
     def usual_sizes(self) -> tuple[float, float] | None:

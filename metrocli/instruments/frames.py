@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from metrocli.adjust.model.chain import IDENTITY, LinkContext, Step, through
+from metrocli.adjust.model.chain import IDENTITY, LinkContext, Step
+from metrocli.adjust.model.derivatives import through
 from metrocli.adjust.model.quantities import OfBlock, Quantity
 from metrocli.arrays import Array
 from metrocli.frozen import dataclass

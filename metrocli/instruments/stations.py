@@ -56,6 +56,11 @@ def listed(point: str) -> str:
     return f"list of {point}"
 
 
+def listed_exactly(point: str) -> str:
+    """Return the condition of readings that stands for a point of which the list has exact coordinates."""
+    return f"exact list of {point}"
+
+
 def heights_of(mark: str) -> str:
     """Return the condition of height differences that is 1 for those to a mark, -1 for those from it, and else 0."""
     return f"heights of {mark}"

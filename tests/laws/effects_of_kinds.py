@@ -229,7 +229,8 @@ def axis_alone() -> Model:
 def adjust_network(effect: Effect) -> Model:
     """Two trackers at four stations, two interferometers, bars, heights and given points, or stations over marks."""
     over = effect.name in ("target-height", "station-height")
-    files = marks_as_files() if over else network_as_files()
+    exact = "exact list of {point}" in effect.needs
+    files = marks_as_files() if over else network_as_files(exact)
     if any(one.name == "from_station" for one in effect.scanned):
         files |= {name: untimed(files[name]) for name in ("readings", "lengths")}
     settings = network_settings(over, ("I", "J", "A", "B") if effect.name == "tracer-scale" else ("A", "B", "I", "J"))
@@ -255,8 +256,8 @@ def network_settings(over: bool, order: tuple[str, ...]) -> NetworkSettings:
     return NetworkSettings(inputs=None, instruments={name: devices[name] for name in order})
 
 
-def network_as_files() -> dict[str, Table]:
-    """Readings without noise in both faces, with times; all points are known to 0.01 mm."""
+def network_as_files(exact: bool = False) -> dict[str, Table]:
+    """Readings without noise in both faces, with times; all points are known to 0.01 mm, or the second one exactly."""
     net = simulated_network.network(np.random.default_rng(21), 4, 12, 2, 0.0, mixed=True)
     names = np.array(net.names)
     n = len(net.station)
@@ -294,7 +295,8 @@ def network_as_files() -> dict[str, Table]:
         "t [s]": rng.uniform(100.0, 2000.0, len(ends)),
         "method [text]": np.array(["early", "late"])[np.arange(len(ends)) % 2],
     }
-    points = {"point [text]": names, "x y z sigma [mm]": np.column_stack([net.points, np.full(len(names), 0.01)])}
+    sigma = np.where(exact & (np.arange(len(names)) == 1), 0.0, 0.01)
+    points = {"point [text]": names, "x y z sigma [mm]": np.column_stack([net.points, sigma])}
     tables = {
         "readings": readings,
         "stations": stations,

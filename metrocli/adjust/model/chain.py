@@ -9,6 +9,7 @@ from typing import Protocol
 import numpy as np
 
 from metrocli.adjust.model.blocks import Block
+from metrocli.adjust.model.derivatives import by_slots, through
 from metrocli.adjust.model.observations import Observations
 from metrocli.adjust.model.quantities import Quantity
 from metrocli.arrays import Array, Index
@@ -104,23 +105,6 @@ class Link(Protocol):
 
     def step(self, value: Array, local: LinkContext) -> Step:
         """Return the value (out, n) and its derivatives at the input `value` (in, n)."""
-
-
-_MANY = 6
-"""Rows of a derivative beyond which those that are zero are left out of a product: a pose has six, all in use"""
-
-
-def through(outer: Array, inner: Array) -> Array:
-    """Return the product of derivatives reading by reading: (a, b, n), (b, c, n) -> (a, c, n)."""
-    n = outer.shape[-1] if inner.shape[-1] == 1 else inner.shape[-1]
-    if len(inner) > _MANY:
-        # an effect on one axis changes few of the errors of all axes
-        used = np.flatnonzero(inner.any(axis=(1, 2)))
-        outer, inner = outer[:, used], inner[used]
-        if not len(used):
-            return np.zeros((len(outer), inner.shape[1], n))
-    product: Array = np.einsum("abn,bcn->acn", outer, inner)
-    return product
 
 
 @dataclass(frozen=True)
@@ -236,20 +220,25 @@ class Varied:
 
     def step(self, value: Array, local: LinkContext) -> Step:
         """Return the link's step at the changed parameters; derivatives by the block pass through the effect."""
-        shape = (local.blocks[self.block].size, local.observations.count)
-        changed = self.effect.step(np.array(np.broadcast_to(local.rows(self.block), shape)), local)
-        step = self.link.step(value, self._context(np.broadcast_to(changed.value, shape), local))
+        rows = local.rows(self.block)
+        # of a reading that uses several members, the effect takes one slot after the other
+        own = np.array(np.broadcast_to(rows, (*rows.shape[:-1], local.observations.count))).reshape(len(rows), -1)
+        changed = self.effect.step(own, local)
+        step = self.link.step(value, self._context(np.broadcast_to(changed.value, own.shape), local))
         by_block = dict(step.by_block)
         outer = by_block.pop(self.block, None)
         if outer is not None:
             for name, inner in changed.by_block.items():
-                part = through(outer, inner)
+                part = sum(by_slots(outer, inner), np.zeros(1))
                 by_block[name] = by_block[name] + part if name in by_block else part
-            by_block[self.block] = outer if changed.by_input is None else through(outer, changed.by_input)
+            if changed.by_input is not None:
+                parts = by_slots(outer, changed.by_input)
+                outer = np.stack(parts) if outer.ndim == 4 else parts[0]
+            by_block[self.block] = outer
         return replace(step, by_block={name: part for name, part in by_block.items() if name in local.wanted})
 
     def _context(self, values: Array, local: LinkContext) -> LinkContext:
-        """Return the context of the link, in which the block has one member for each reading.
+        """Return the context of the link, in which the block has a member of its own for each reading and slot.
 
         All columns of the block have derivatives if those of the effect are wanted: they are needed for the chain rule.
         """
@@ -257,18 +246,23 @@ class Varied:
         used = block.free.any(axis=0)
         if wanted.intersection(self.effect.blocks):
             used, wanted = np.array(True), wanted | {self.block}
-        n = observations.count
-        members = tuple(map(str, range(n)))
+        before = local.index(self.block)
+        # they keep their names, by which another effect may know its own
+        members = tuple(block.members[i] for i in before.ravel().tolist())
         each = replace(block, values=values.T, members=members, free=np.asarray(used))
-        index = {**observations.index, self.block: np.arange(n)}
-        # each reading now has its own member; in a lattice the other blocks stay as they are
+        index = {**observations.index, self.block: np.arange(before.size).reshape(before.shape)}
+        # in a lattice the other blocks stay as they are
         return LinkContext({**local.blocks, self.block: each}, replace(observations, index=index), wanted)
 
 
 def _inserted(links: tuple[Link, ...], effect: Link) -> tuple[Link, ...] | None:
     """Return the links with an effect inserted; None if it cannot act."""
-    varies: str | None = getattr(effect, "varies", None)
-    return _behind_last(links, effect) if varies is None else _in_front_of_readers(links, effect, varies)
+    block: str | None = getattr(effect, "varies", None)
+    if block is None:
+        return _behind_last(links, effect)
+    if not any(block in link.blocks for link in links):
+        return None
+    return tuple(Varied(link, block, effect) if block in link.blocks else link for link in links)
 
 
 def _behind_last(links: tuple[Link, ...], effect: Link) -> tuple[Link, ...] | None:
@@ -278,12 +272,6 @@ def _behind_last(links: tuple[Link, ...], effect: Link) -> tuple[Link, ...] | No
     before = links[: places[-1]]
     within = getattr(effect, "within", None)
     return (*before, effect if within is None else within(Chain(before)), *links[places[-1] :])
-
-
-def _in_front_of_readers(links: tuple[Link, ...], effect: Link, block: str) -> tuple[Link, ...] | None:
-    if not any(block in link.blocks for link in links):
-        return None
-    return tuple(Varied(link, block, effect) if block in link.blocks else link for link in links)
 
 
 def _chained(outer: Array | None, inner: Array) -> Array:

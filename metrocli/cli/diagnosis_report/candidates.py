@@ -24,20 +24,21 @@ _SEEN = {True: "seen", "part": "seen in part", False: "not seen", None: ""}
 
 
 def candidate_lines(adjusted: AdjustedJob, design: Detectability, found: Conclusions | None) -> list[str]:
-    """Return the table of candidates, with one line for all places of a cause that have the same status.
+    """Return the table of candidates, with one line for all places of a cause of the same status and usual sizes.
 
     Where a cause is not tested, these have the same reason, too. With None nothing was looked for yet: what residuals
     would exclude is `detectable`.
     """
     unsearched = found is None
     found = found or status.NOTHING
-    rows: dict[tuple[str, str, str], list[DetectableCandidate]] = {}
+    rows: dict[tuple[str, str, str, str], list[DetectableCandidate]] = {}
     for candidate in design.candidates:
         word = str(status.status(candidate, found))
         word = "detectable" if unsearched and word == status.Status.EXCLUDED else word
         why = status.reason(candidate, word) if word == status.Status.NOT_DECIDED else ""
-        rows.setdefault((candidate.alternative.effect.form, word, why), []).append(candidate)
-    lines = [_line(adjusted, design, name, word, candidates) for (name, word, _), candidates in rows.items()]
+        effect = candidate.alternative.effect
+        rows.setdefault((effect.form, effect.usual, word, why), []).append(candidate)
+    lines = [_line(adjusted, design, name, word, candidates) for (name, _, word, _), candidates in rows.items()]
     for scatter in design.scatters:
         lines.append(_of_scatter(adjusted, scatter, status.status(scatter, found), unsearched))
     lines += [_of_readings(adjusted, reading, unsearched, found.decided) for reading in design.readings]

@@ -16,7 +16,7 @@ from functools import cached_property
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array, Block
-from metrocli.adjust.model.chain import through
+from metrocli.adjust.model.derivatives import through
 from metrocli.adjust.model.groups import Group, LinearGroup
 from metrocli.adjust.model.observations import Index, Mask
 from metrocli.adjust.schur.layout import Layout

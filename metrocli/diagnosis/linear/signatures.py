@@ -11,7 +11,8 @@ from dataclasses import replace
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array, Block
-from metrocli.adjust.model.chain import LinkContext, through
+from metrocli.adjust.model.chain import LinkContext
+from metrocli.adjust.model.derivatives import through
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Mask
 from metrocli.diagnosis.linear.projection import Linearised, scatter

@@ -7,7 +7,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from metrocli.adjust.model.chain import LinkContext, Step, through
+from metrocli.adjust.model.chain import LinkContext, Step
+from metrocli.adjust.model.derivatives import through
 from metrocli.adjust.model.quantities import AtQuantity, OfBlock, Quantity
 from metrocli.arrays import Array
 from metrocli.effects.acting import Variable, components

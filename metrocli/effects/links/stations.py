@@ -95,6 +95,22 @@ class ListedWrongly(OfBlock):
 
 
 @dataclass(frozen=True)
+class ExactListedWrongly(OfBlock):
+    """The exact listed coordinates X0 of a point are off by d: all reads it at `X0 - d`; columns dx, dy, dz."""
+
+    point: str
+    others = (POINT,)
+    varies = POINT
+    takes = gives = Quantity.PARAMETERS
+
+    def step(self, value: Array, local: LinkContext) -> Step:
+        """Return the coordinates of the points that readings use, (3, n), slot after slot."""
+        here = np.array([name == self.point for name in local.blocks[POINT].members])[local.index(POINT).ravel()]
+        by_block = -np.eye(3)[:, :, None] * here
+        return Step(value - local.rows(self.block) * here, by_block={self.block: by_block})
+
+
+@dataclass(frozen=True)
 class HeightStep(OfBlock):
     """A mark stands higher in some height differences: `dh += s h`; columns h [mm], and a time or a method.
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from metrocli.adjust.model.chain import through
+from metrocli.adjust.model.derivatives import through
 from metrocli.arrays import Array
 from metrocli.frozen import dataclass
 

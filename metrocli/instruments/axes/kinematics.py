@@ -10,7 +10,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from metrocli.adjust.model.chain import Chain, Link, LinkContext, Step, through
+from metrocli.adjust.model.chain import Chain, Link, LinkContext, Step
+from metrocli.adjust.model.derivatives import through
 from metrocli.adjust.model.quantities import Quantity
 from metrocli.arrays import Array
 from metrocli.frozen import dataclass

@@ -20,8 +20,8 @@ from metrocli.effects.model import Model
 from metrocli.instruments import stations as s
 from metrocli.instruments import tracer as t
 from metrocli.instruments.tracker import AZIMUTH, DISTANCE, ELEVATION, FACE
-from metrocli.tasks.adjust_network import KIND
-from metrocli.tasks.adjust_network.effects import EFFECTS, MOVED, NO_MIRROR, NO_TIMES, STEERING
+from metrocli.tasks.adjust_network import KIND, usual
+from metrocli.tasks.adjust_network.effects import MOVED, NO_MIRROR, NO_TIMES, STEERING
 from metrocli.tasks.adjust_network.groups import GIVEN_POINTS, is_certified, is_sighting
 from metrocli.tasks.adjust_network.noise import ideal
 from metrocli.tasks.adjust_network.solve import AdjustedNetwork, refitted
@@ -46,7 +46,7 @@ def adjusted_job(solved: AdjustedNetwork) -> AdjustedJob:
     return AdjustedJob(
         KIND.name,
         model,
-        EFFECTS,
+        tuple(usual.effects(network.readings)),
         tuple(covariates(model)),
         ("station",),
         {group.name: _folds(group) for group in model.readings},

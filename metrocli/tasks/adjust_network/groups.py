@@ -23,6 +23,7 @@ from metrocli.instruments.stations import (
     TARGET_HEIGHT,
     HeightBetween,
     heights_of,
+    listed_exactly,
     sighting,
 )
 from metrocli.instruments.stations import listed as condition_of_listed
@@ -42,6 +43,8 @@ GIVEN_POINTS = "given points"
 """Names of the groups of given coordinates begin so"""
 _MOST_LISTED = 500
 """Most given points whose coordinates are tested one by one"""
+_MOST_EXACT = 100
+"""Most points of a group whose exact coordinates are tested one by one"""
 OF_POINT, OF_STATION, OF_INSTRUMENT, OF_TRACER, OF_BAR, OF_SETUP, OF_LINE = (
     f"number of {name}" for name in ("point", "station", "instrument", "tracer", "bar", "setup", "line")
 )
@@ -244,6 +247,15 @@ def given(readings: NetworkReadings, blocks: Mapping[str, Block]) -> Iterator[Gr
         if rows.size:
             group = prior(listed, rows, sigma[rows, axis][:, None], columns=(axis,))
             yield _of_list(replace(group, name=f"{GIVEN_POINTS} {'xyz'[axis]}"), rows, block)
+
+
+def with_exact_lists(group: Group, readings: NetworkReadings) -> Group:
+    """Return a group of readings with a condition for each of its points whose listed coordinates are exact."""
+    exact = (readings.points.sigma == 0).any(axis=1)
+    of_group = np.unique(group.observations.index[POINT])
+    ones = np.ones(group.observations.count)
+    named = {listed_exactly(readings.points.names[i]): ones for i in of_group[exact[of_group]][:_MOST_EXACT].tolist()}
+    return replace(group, observations=group.observations.with_conditions(named)) if named else group
 
 
 def _of_list(group: Group, members: Index, block: Block) -> Group:

@@ -19,7 +19,7 @@ from metrocli.table import Table
 from metrocli.tasks.adjust_network.readings import NetworkReadings, read
 from metrocli.tasks.adjust_network.settings import Files, Settings
 from metrocli.tasks.adjust_network.starts.agreement import NetworkStart, disagreement, list_offset, medians, placed
-from metrocli.tasks.adjust_network.starts.conventions import in_units, other_conventions
+from metrocli.tasks.adjust_network.starts.conventions import in_units, other_conventions, written_otherwise
 from metrocli.tasks.adjust_network.starts.search import start
 from metrocli.tasks.job import Job
 from metrocli.words import in_a_row, listed
@@ -58,6 +58,8 @@ def other_settings(job: Job[Settings, Files], fits: bool) -> Iterator[_Other]:
         return
     yield from _faces(job, readings)
     yield from _conventions(job, readings)
+    for mistake, changed in written_otherwise(job.files.sightings, readings.sightings.values[ELEVATION]):
+        yield _with(job, mistake, changed)
     rough = _started(readings)
     if rough is not None:
         yield from _exchanged(job, readings, rough)

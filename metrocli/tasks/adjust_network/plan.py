@@ -26,6 +26,7 @@ from metrocli.tasks.adjust_network.problem import Network
 from metrocli.tasks.adjust_network.settings import INTERFEROMETER, Files, NetworkSimulation, Settings
 from metrocli.tasks.adjust_network.simulation import designed, true_network
 from metrocli.tasks.adjust_network.unknowns import seen_points
+from metrocli.tasks.adjust_network.usual import of_instrument
 from metrocli.tasks.shared.tracker_effects import TRACKER_EFFECTS
 from metrocli.units import find_unit, roughly, two_digits
 
@@ -141,9 +142,9 @@ def _seen(network: Network) -> Iterator[tuple[object, ...]]:
     for effect in TRACKER_EFFECTS:
         if effect.name == STEERING:
             continue
-        for name in (n for n, instrument in network.readings.instruments.items() if instrument.type != INTERFEROMETER):
-            at = replace(effect, where=("instrument",))
-            if can_act(model, at, {"instrument": name}):
+        for name, instrument in network.readings.instruments.items():
+            at = of_instrument(replace(effect, where=("instrument",)), instrument)
+            if instrument.type != INTERFEROMETER and can_act(model, at, {"instrument": name}):
                 yield from _of_effect(network, at, name)
 
 

@@ -205,9 +205,9 @@ def mirrored(network: NetworkLengths, noise: float = 1.0) -> list[Mirrored]:
     other, gain = _refined(few, start, noise)
     apart = np.linalg.norm(other - few.places, axis=1)
     from_first, from_other = (np.linalg.norm(few.listed - place, axis=1) for place in (few.places, other))
-    # a place within the uncertainty of the first is the same one (docs/decisions/170-mirror-images.md)
-    ambiguous = (gain > -_CHI_SQUARE) & (apart > _APART * np.linalg.norm(few.std, axis=1)) & np.isfinite(apart)
-    members = np.flatnonzero(tried)
+    # nearer to the first than to the image, or within its std, it is the same (docs/decisions/170-mirror-images.md)
+    second = (apart > _APART * np.linalg.norm(few.std, axis=1)) & (np.linalg.norm(other - start, axis=1) < apart)
+    members, ambiguous = np.flatnonzero(tried), (gain > -_CHI_SQUARE) & second & np.isfinite(apart)
     return [
         Mirrored(
             network.noun,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -87,6 +88,29 @@ def test_two_wrong_given_points_are_named_together(tmp_path: Path, metrocli: Met
     ran = metrocli("diagnose", replace(net, near=near, given=(0, 1, 2, 3, 5, 6, 7, 8)).write(tmp_path), "--quick")
     assert ran.code == 0, ran.err
     assert "given-point P001" in ran.out and "given-point P003" in ran.out
+
+
+@pytest.mark.slow
+def test_wrong_exact_points_are_named_with_their_sizes(tmp_path: Path, metrocli: Metrocli) -> None:
+    """Each of them ends a bar or a height difference too; the list of one is off by what its mark has moved back."""
+    net = hall(15)
+    wrong = {0: [0.3, 0.0, 0.2], 4: [0.0, -0.4, 0.1]}
+    near = net.points.copy()
+    for point, by in wrong.items():
+        near[point] += by
+    job = replace(net, near=near, given=tuple(range(9))).write(tmp_path)
+    path = tmp_path / "points.csv"
+    path.write_text(path.read_text().replace(",0.01\n", ",0\n"))
+    ran = metrocli("diagnose", job, "--quick", "--json")
+    assert ran.code == 0, ran.err
+    found = {one["where"]["point"]: one for one in json.loads(ran.out)["effects"]}
+    assert {one["name"] for one in found.values()} == {"given-point"} and set(found) == {"P001", "P005"}
+    for point, by in wrong.items():
+        sizes = found[f"P{point + 1:03d}"]["parameters"]
+        assert all(abs(sizes[f"d{axis}"]["value"] - size) < 0.03 for axis, size in zip("xyz", by, strict=True)), sizes
+    # the job with both of them in its model fits
+    ran = metrocli("adjust-network", tmp_path / "job.extended.yaml")
+    assert ran.code == 0, ran.out + ran.err
 
 
 def under_another_name(net: Network, station: int, point: int, other: int) -> Network:

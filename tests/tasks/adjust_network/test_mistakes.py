@@ -370,3 +370,30 @@ def test_exchanged_points_are_found_where_a_mirror_image_is_as_far_off(tmp_path:
     point[here & (net.point == 3)], point[here & (net.point == 9)] = 9, 3
     found = json.loads(metrocli("diagnose", replace(net, point=point).write(tmp_path), "--json").out)
     assert found["mistake"]["what"] == "P004 and P010 are exchanged at station S2"
+
+
+def sexagesimal(angles: list[float]) -> list[float]:
+    """Degrees, minutes and seconds as one number: 12.3045 for 12 deg 30' 45"."""
+    found = []
+    for angle in np.degrees(angles).tolist():
+        seconds = round(abs(angle) * 3600, 5)
+        degrees, rest = divmod(seconds, 3600)
+        minutes, seconds = divmod(rest, 60)
+        found.append(float(np.copysign(degrees + minutes / 100 + seconds / 10000, angle)))
+    return found
+
+
+def test_horizontal_distances_are_named(tmp_path: Path, metrocli: Metrocli) -> None:
+    net = network(np.random.default_rng(71), 3, 12, levelled=True)
+    level = np.ones_like(net.seen)
+    level[:, 2] = np.cos(net.seen[:, 1])
+    ran = metrocli("adjust-network", replace(net, seen=net.seen * level).write(tmp_path))
+    assert ran.code == 3 and "d is a horizontal distance: with this corrected" in ran.err, ran.err
+
+
+def test_minutes_and_seconds_as_decimals_are_named(tmp_path: Path, metrocli: Metrocli) -> None:
+    net = network(np.random.default_rng(72), 3, 12, levelled=True)
+    seen = net.seen.copy()
+    seen[:, 0], seen[:, 1] = (sexagesimal(seen[:, k].tolist()) for k in range(2))
+    ran = metrocli("adjust-network", replace(net, seen=seen).write(tmp_path, header="az_deg,el_deg,d_mm"))
+    assert ran.code == 3 and "az and el have minutes and seconds as decimals (D.MMSS)" in ran.err, ran.err

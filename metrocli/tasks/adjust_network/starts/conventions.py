@@ -13,12 +13,15 @@ from itertools import combinations
 import numpy as np
 
 from metrocli.arrays import Array, Index
+from metrocli.diagnosis.corrections import Mistake
 from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.instruments.tracker import AZIMUTH, DISTANCE, ELEVATION
+from metrocli.table import Table
 from metrocli.tasks.adjust_network.readings import NetworkReadings
 from metrocli.tasks.adjust_network.starts.agreement import fitted, medians
 from metrocli.units import INCH, find_unit
+from metrocli.words import in_a_row
 
 _SAME = 1e-9
 """Relative difference of the sizes of two units that are one"""
@@ -28,6 +31,12 @@ _MOST_POINTS, _MOST_STATIONS = 200, 3
 """Points that are compared of two stations, and stations with which one is compared by other conventions"""
 _CONGRUENT = 2e-3
 """Share of the extent of the smaller figure, by which half of the points differ at most where two are congruent"""
+_MOST_TRIED = 20
+"""Stations whose sightings alone are taken for stated in another way, at most"""
+_STEEPEST = 0.05
+"""Least cosine of an elevation by which a horizontal distance is divided"""
+_ROUNDED = 1e-9
+"""What a number of degrees may lack to a whole minute by rounding"""
 _RIGHT_LENGTHS = 0.2
 """Share of the lengths between points that agree at least in congruent figures"""
 
@@ -104,6 +113,42 @@ def other_conventions(
             agreeing = tuple(station for station in others if figures.agrees(station, group, convention))
             if agreeing:
                 yield agreeing, convention
+
+
+def written_otherwise(table: Table, elevation: Array) -> Iterator[tuple[Mistake, dict[str, Array]]]:
+    """Yield sightings that a file may state in another way than in a unit, with their columns as they should be.
+
+    They are those of all stations or of a single one. `elevation` is that of each sighting, as it was read.
+    """
+    station = np.array(table.texts("station"), dtype=object)
+    names = list(dict.fromkeys(station.tolist()))
+    for words, write, columns in _other_ways(table, elevation):
+        for name in ("", *(names[:_MOST_TRIED] if names[1:] else ())):
+            here = (station == name) | (not name)
+            where = f" at station {name}" if name else ""
+            mistake = Mistake("readings", words + where, write + where, file=table.file, sort="ways", columns=0)
+            yield mistake, {key: np.where(here, values, table.numbers(key)) for key, values in columns.items()}
+
+
+def _other_ways(table: Table, elevation: Array) -> Iterator[tuple[str, str, dict[str, Array]]]:
+    angles = {name: table.numbers(name) for name in ("az", "hz", "el", "zd") if name in table}
+    decimal = {name: _of_sexagesimal(values) for name, values in angles.items()}
+    if angles and all(table.headings.get(name, "").endswith("_deg") for name in angles):
+        what = in_a_row(list(angles))
+        yield f"{what} have minutes and seconds as decimals (D.MMSS)", f"decimal degrees in {what}", decimal
+    if "d" in table:
+        distance = table.numbers("d")
+        level = np.where(np.isfinite(elevation), np.maximum(np.cos(elevation), _STEEPEST), 1.0)
+        yield "d is a horizontal distance", "d over the sine of the zenith distance", {"d": distance / level}
+
+
+def _of_sexagesimal(angles: Array) -> Array:
+    """Return angles [rad] whose decimals of a degree are minutes and seconds, such as 12.3045 for 12 deg 30' 45"."""
+    degrees = np.abs(np.degrees(angles))
+    whole = np.floor(degrees + _ROUNDED)
+    minutes = np.floor((degrees - whole) * 100 + 100 * _ROUNDED)
+    seconds = ((degrees - whole) * 100 - minutes) * 100
+    return np.asarray(np.copysign(np.radians(whole + minutes / 60 + seconds / 3600), angles))
 
 
 class _Figures:
