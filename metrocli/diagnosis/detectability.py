@@ -23,6 +23,7 @@ from metrocli.diagnosis.linear.quadratics import ranks_of, roots
 from metrocli.diagnosis.linear.scans import thinned
 from metrocli.diagnosis.linear.signatures import nonlinearity
 from metrocli.diagnosis.power.average_power import (
+    QUANTILE,
     DetectableCandidate,
     ScatterCandidate,
     scatter_candidates,
@@ -36,8 +37,6 @@ LEAST_REDUNDANCY = 1e-3
 """Smallest redundancy of a reading whose error shows"""
 _POWER = 0.8
 """Probability with which an effect of the least detectable size is found"""
-_QUANTILE = 1.96
-"""Of the normal distribution, for bounds at 97.5 %"""
 _FORMS = 60
 """Largest number of forms of an effect (values of its scan) over which the power is averaged"""
 BENT = 0.1
@@ -189,7 +188,7 @@ def _upper(state: State, family: int, number: int) -> float:
     inverse = np.linalg.pinv(unit, 1e-8, hermitian=True) / scale[seen] / scale[seen][:, None]
     theta = inverse @ right[seen]
     spread = np.sqrt(state.variance * max(float(np.mean(np.diag(inverse))), 0.0))
-    return float(np.linalg.norm(theta) + _QUANTILE * spread)
+    return float(np.linalg.norm(theta) + QUANTILE * spread)
 
 
 def _size_found(state: State, family: int, chosen: Sequence[int], ranks: Array, median: Candidate) -> float:

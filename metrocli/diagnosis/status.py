@@ -64,7 +64,7 @@ def status(candidate: DetectableCandidate | ScatterCandidate, found: Conclusions
     """
     if isinstance(candidate, ScatterCandidate):
         named, is_open = candidate.effect.name in found.scattered, candidate.required
-        excluded = candidate.detectable <= candidate.effect.plausible
+        excluded = excluded_above(candidate) <= candidate.effect.plausible
     else:
         named = any(_claims(name, candidate.alternative) for name in found.named)
         is_open = candidate.required or candidate.by_law
@@ -79,7 +79,7 @@ def status(candidate: DetectableCandidate | ScatterCandidate, found: Conclusions
     return Status.EXCLUDED if excluded else Status.CANNOT_SEE
 
 
-def excluded_above(candidate: DetectableCandidate) -> float:
+def excluded_above(candidate: DetectableCandidate | ScatterCandidate) -> float:
     """Return the size above which an effect is excluded: the larger of that detected and its upper bound."""
     return max(candidate.detectable, candidate.upper)
 
@@ -102,7 +102,7 @@ def reason_of_scatter(candidate: ScatterCandidate, word: str) -> str:
         return candidate.reason
     if word == Status.NOT_DECIDED:
         return UNCONFIRMED if candidate.required else ENDED
-    least = candidate.effect.parameters[0].sized(candidate.detectable)
+    least = candidate.effect.parameters[0].sized(excluded_above(candidate))
     message = "excluded above" if word == Status.EXCLUDED else "detected from"
     return f"{message} a standard deviation of {least}"
 
@@ -200,8 +200,12 @@ def _throughout(job: AdjustedJob, scatter: ScatterCandidate, word: str) -> dict[
     entry = _open(scatter.effect, {}, word, reason_of_scatter(scatter, word))
     if not scatter.testable:
         return entry
-    least = {"value": scatter.detectable, "unit": scatter.effect.parameters[0].unit}
-    return entry | {"minimal_detectable": least, "above": least, "hides": _hides(job, scatter.undetected)}
+    unit = scatter.effect.parameters[0].unit
+    return entry | {
+        "minimal_detectable": {"value": scatter.detectable, "unit": unit},
+        "above": {"value": excluded_above(scatter), "unit": unit},
+        "hides": _hides(job, scatter.undetected),
+    }
 
 
 def _wrong_reading(job: AdjustedJob, reading: WrongReading, decided: bool) -> dict[str, Any]:

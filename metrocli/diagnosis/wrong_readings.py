@@ -11,9 +11,11 @@ from itertools import combinations
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
+from metrocli.adjust.model.observations import Mask
 from metrocli.adjust.robust import as_likely
 from metrocli.diagnosis.evidence.measurement import Measurement
 from metrocli.diagnosis.evidence.parts import Fixed
+from metrocli.diagnosis.evidence.prices import gain_of_columns
 from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.linear.candidates import Candidate
 from metrocli.frozen import dataclass
@@ -41,20 +43,34 @@ def wrong_readings(state: State) -> tuple[Outlier, ...]:
 
 
 def _outlier(state: State, part: Fixed, places: Places) -> Outlier:
-    """Return a wrong reading with what would explain as much, beside all else."""
+    """Return a wrong reading with what would explain as much in its place, beside all else."""
     m, taken = state.measurement, state.taken_by(part)
-    keys, variance = m.keys_of(part.number), state.variance
+    keys = m.keys_of(part.number)
     _, rank, explained = state.of_readings(taken)
     # an error of several components can always explain more: only readings of its rank compare
-    squares = np.where(rank == rank[part.number], explained, 0.0) / variance
-    own = float(squares[part.number])
-    known = {other.number for other in state.readings}
+    explained = np.where(rank == rank[part.number], explained, 0.0)
+    own = float(explained[part.number])
+    known = [other.number for other in state.readings]
+    instead = _instead(state, part, own, explained, state.of_readings()[2])
+    instead[known] = False
+    rivals = np.flatnonzero(instead)
+    others = tuple(m.keys_of(at) for at in rivals[np.argsort(-explained[rivals], kind="stable")].tolist())
+    effects = tuple(_at_its_place(state, part, taken, places, own))
+    return Outlier(keys, float(np.sqrt(own / state.variance)), others, effects)
+
+
+def _instead(state: State, part: Fixed, own: float, explained: Array, beside: Array) -> Mask:
+    """Return which of others explain as much as a wrong reading, and leave it nothing to explain.
+
+    `own` is the squares that the reading explains, `explained` those of each other without it, `beside` with it. One
+    that explains something else explains as much with it: both are wrong then, or the other is due to chance.
+    """
     # capped at its own: `as_likely` compares with the largest of all
-    rivals = [at for at in np.flatnonzero(as_likely(np.minimum(squares, own))).tolist() if at not in known]
-    rivals.sort(key=lambda at: -squares[at])
-    others = tuple(m.keys_of(at) for at in rivals)
-    effects = tuple(_at_its_place(state, taken, places, keys, own))
-    return Outlier(keys, float(np.sqrt(own)), others, effects)
+    alike = as_likely(np.append(np.minimum(explained, own), own) / state.variance)[:-1]
+    # both together explain own + beside, in either order
+    still = np.maximum(own + beside - explained, 0.0)
+    gain = gain_of_columns(still, np.array(part.rank), state.fit.squares + own - explained, state.freedoms)
+    return alike & (gain < part.price)
 
 
 def _places(m: Measurement) -> Places:
@@ -67,13 +83,12 @@ def _places(m: Measurement) -> Places:
     return places
 
 
-def _at_its_place(
-    state: State, taken: Array, places: Places, keys: Mapping[str, str], own: float
-) -> Iterator[Candidate]:
+def _at_its_place(state: State, part: Fixed, taken: Array, places: Places, own: float) -> Iterator[Candidate]:
     """Yield the best form of each effect at the place of a reading that explains as much as the error of the reading.
 
     Where it also changes other readings, these contradict it unless they are much less certain.
     """
+    keys = state.measurement.keys_of(part.number)
     # a reading of a tracer, a point and a pose lies at each of these, and at each combination
     here = [combination for size in range(1, len(keys) + 1) for combination in combinations(keys.items(), size)]
     families: dict[int, list[int]] = {}
@@ -81,7 +96,7 @@ def _at_its_place(
         for family, number in places.get(frozenset(place), ()):
             families.setdefault(family, []).append(number)
     for family, numbers in families.items():
-        explained = state.of_family(family, taken)[0][numbers] / state.variance
+        explained, beside = (state.of_family(family, without)[0][numbers] for without in (taken, None))
         best = int(np.argmax(explained))
-        if as_likely(np.array([own, explained[best]]))[1]:
+        if _instead(state, part, own, explained, beside)[best]:
             yield state.measurement.alternative((family, numbers[best]))

@@ -18,7 +18,7 @@ from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.evidence.variances import scattered_effects
 from metrocli.diagnosis.findings import Diagnosis
 from metrocli.diagnosis.hidden_change import UndetectedBias
-from metrocli.diagnosis.power.average_power import ScatterCandidate
+from metrocli.diagnosis.power.average_power import ScatterCandidate, scatter_candidates
 from metrocli.diagnosis.status import Conclusions, candidates
 from metrocli.diagnosis.verdict import as_data
 from metrocli.tasks.calibrate_machine.effects import OF_LENGTHS
@@ -107,6 +107,27 @@ def test_one_bad_pose_and_none_are_no_scatter() -> None:
     assert [str(one.effect.alternative) for one in found.findings] == ["bad-pose P7"] and not found.scatters
 
 
+@pytest.mark.parametrize("seed", range(6))
+def test_a_shape_of_a_lens_is_excluded_only_above_the_upper_bound_of_its_size(seed: int) -> None:
+    """Waves over the image of half the noise, and none: what is excluded is larger than what is there."""
+    rng = np.random.default_rng([17, seed])
+    seen = images.read(images._scene("calibrate-camera", "x", rng, "board", True), rng)
+    place = 3 * np.pi * (seen.uv - seen.uv.min(axis=0)) / np.ptp(seen.uv, axis=0)
+    begin = rng.uniform(0, 2 * np.pi, (2, 2))
+    wave = seen.scene.noise * np.sin(place[:, :1] + begin[0]) * np.cos(place[:, 1:] + begin[1])
+    bounds = []
+    for uv in (seen.uv, seen.uv + wave):
+        job = replace(seen, uv=uv).adjusted()
+        (shape,) = scatter_candidates(State.of(measurement_of(job)))
+        bounds.append(shape.upper)
+        # as if held-out readings had not to decide
+        sought = Detectability((), (), (), (), (replace(shape, required=False),))
+        (entry,) = candidates(job, sought, Conclusions())
+        assert entry["status"] == "excluded" and entry["above"]["value"] == max(shape.upper, shape.detectable)
+        assert f"{entry['above']['value']:.2g} px" in entry["reason"]
+    assert bounds[0] < shape.detectable * 1.5 and bounds[1] > max(float(wave.std()), shape.detectable)
+
+
 def test_a_search_that_ended_early_excludes_no_scatter_and_no_wrong_reading() -> None:
     """What the search did not reach is neither there nor excluded."""
     job = launch.measurement(np.random.default_rng(7), True).adjusted()
@@ -115,6 +136,10 @@ def test_a_search_that_ended_early_excludes_no_scatter_and_no_wrong_reading() ->
     single = next(effect for effect in OF_LENGTHS if effect.of_one_reading)
     wrong = WrongReading(single, 0.01, (0.01, 0.02), UndetectedBias(0.0), 0)
     design = Detectability((), (), (), (wrong,), (sought,))
+    (large,) = candidates(
+        job, Detectability((), (), (), (), (replace(sought, upper=2 * effect.plausible),)), Conclusions()
+    )
+    assert large["status"] == "cannot-see"
     for decided, word in ((True, "excluded"), (False, "not-decided")):
         found = Conclusions(decided=decided)
         assert [entry["status"] for entry in candidates(job, design, found)] == [word] * 2

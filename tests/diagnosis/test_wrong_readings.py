@@ -14,7 +14,10 @@ from benchmarks.hidden_effects import KINDS
 from metrocli.cli.diagnosis_report.findings import of_diagnosis
 from metrocli.cli.diagnosis_report.loop import loop_text
 from metrocli.diagnosis.diagnose import diagnose
+from metrocli.diagnosis.evidence.measured_job import measurement_of
+from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.verdict import as_data
+from metrocli.diagnosis.wrong_readings import wrong_readings
 from metrocli.project.diagnosed import adjusted_job_of
 from metrocli.project.job import load
 from metrocli.project.until_clean import End, Loop
@@ -58,6 +61,27 @@ def test_a_gross_length_gives_no_effects(wrong_by: float) -> None:
     found = diagnose(replace(m, length=m.length + off).adjusted())
     assert found.verdict == "clean" and not found.findings and not found.variance_groups
     assert len(found.outliers) == 1 and 0.8 < found.noise.ratio < 1.2
+
+
+@pytest.mark.parametrize("apart", [True, False])
+def test_only_what_shows_alike_stands_in_the_place_of_a_wrong_reading(apart: bool) -> None:
+    """Errors of 7 sigma in two lengths that have little in common, or in one of two whose tests are nearly the same."""
+    m = measurement_of(lengths.measurement(np.random.default_rng(8), 30).adjusted())
+    rows = m.places[:, 0]
+    errors = np.zeros((m.system.rows, len(rows)))
+    errors[rows, np.arange(len(rows))] = 1.0
+    errors = m.system.seen(errors)
+    shown = np.linalg.norm(errors, axis=0)
+    errors = (errors / np.maximum(shown, 1e-9))[:, shown > 0.3]
+    alike = np.abs(errors.T @ errors)
+    chosen = np.argwhere(alike < 1e-3)[0] if apart else np.argwhere(np.triu(alike, 1) == np.triu(alike, 1).max())[0]
+    pair = errors[:, chosen]
+    noise = m.system.seen(np.random.default_rng(9).normal(size=m.system.rows))
+    residual = noise - pair @ np.linalg.lstsq(pair, noise, rcond=None)[0] + 7 * pair @ [1.0, float(apart)]
+    one, other = (m.reading(int(np.flatnonzero(shown > 0.3)[at])) for at in chosen)
+    (wrong,) = wrong_readings(State.of(replace(m, system=replace(m.system, residual=residual), cache={}), [one]))
+    assert wrong.keys == m.keys_of(one.number) and 4 < wrong.test < 9
+    assert (m.keys_of(other.number) in wrong.others) is not apart
 
 
 def test_a_tracer_with_another_fault_than_noise_gives_no_effects() -> None:

@@ -108,7 +108,8 @@ def _of_scatter(adjusted: AdjustedJob, scatter: ScatterCandidate, word: str, uns
     if not scatter.testable:
         return scatter.effect.name, "everywhere", str(word), "", "", scatter.reason
     message = "detectable" if unsearched and word == status.Status.EXCLUDED else str(word)
-    message = _status(message, [scatter.detectable], scatter.effect.parameters[0])
+    size = scatter.detectable if message == "detectable" else status.excluded_above(scatter)
+    message = _status(message, [size], scatter.effect.parameters[0])
     usual, hides = status.usual_beside(scatter.effect, scatter.detectable), _hidden(adjusted, scatter.undetected)
     why = status.reason_of_scatter(scatter, word) if word == status.Status.NOT_DECIDED else ""
     return scatter.effect.name, "everywhere", message, usual, hides, why or "sizes are standard deviations"

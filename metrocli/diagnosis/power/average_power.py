@@ -34,6 +34,8 @@ _SEEN = 1e-4
 """Smallest eigenvalue of a direction that counts, relative to the largest"""
 _EIGHTY, _NINETY_FIVE = 0.84, 1.64
 """By how much the root of twice the gain must exceed what is needed, so that so many of 100 cases do"""
+QUANTILE = 1.96
+"""Normal quantile of 97.5 %"""
 _STEPS, _WIDEST = 200, 1e4
 """Standard deviations that are tried, in equal ratios, up and down from the largest usual one by this factor"""
 
@@ -186,6 +188,8 @@ class ScatterCandidate:
     """Change of the delivered result that is exceeded in 5 % of cases, by a scatter that is found with 95 % power"""
     required: bool = False
     """Whether its likelihood would name it, which held-out readings did not confirm"""
+    upper: float = 0.0
+    """Upper bound (97.5 %) of its standard deviation, beside all that was found"""
 
     @property
     def testable(self) -> bool:
@@ -217,12 +221,30 @@ def _candidate(state: State, effect: Effect, noise: float, required: bool) -> Sc
     part = m.scatter(number)
     # per unit of the parameters: the columns of a part are scaled by its unit
     left = part.columns.T @ state.seen(part.columns) * part.unit**-2
-    eigenvalues = np.linalg.eigvalsh(left)
+    eigenvalues, vectors = np.linalg.eigh(left)
+    shows = eigenvalues > _SEEN * eigenvalues[-1]
     # eigenvalues in units of the noise: the size is sought for a noise of 1 and multiplied with it at the end
-    seen = eigenvalues[eigenvalues > _SEEN * eigenvalues[-1]], m.dof, effect.plausible / noise, part.price
+    seen = eigenvalues[shows], m.dof, effect.plausible / noise, part.price
     size, hidden = (_scatter_found(*seen, beyond) * noise for beyond in (_EIGHTY, _NINETY_FIVE))
+    squares = (vectors[:, shows].T @ part.columns.T @ state.residual) ** 2 * part.unit**-2 / eigenvalues[shows]
+    upper = _upper(eigenvalues[shows], squares, state.fit.squares, m.dof, effect.plausible / noise) * noise
     hides = hidden_by_scatter(m.job, m.system, m.scatters[number], hidden if np.isfinite(hidden) else effect.plausible)
-    return ScatterCandidate(effect, size, hides, required)
+    return ScatterCandidate(effect, size, hides, required, upper)
+
+
+def _upper(eigenvalues: Array, squares: Array, every: float, dof: float, usual: float) -> float:
+    """Return the largest standard deviation s that a likelihood ratio does not reject at 2.5 %.
+
+    `squares` are those of the residual along directions of some eigenvalues, `every` all squares; the noise is 1.
+    """
+    tried = usual * np.geomspace(1 / _WIDEST, _WIDEST, _STEPS)
+    grown = 1 + tried[:, None] ** 2 * eigenvalues
+    left = np.maximum(every - squares.sum(), 0.0) + (squares / grown).sum(axis=1)
+    # not 0: of readings without errors, as in a design, any noise is likelier than a scatter
+    left = np.maximum(left, 1e-300)
+    likelihood = -(dof * np.log(left) + np.log(grown).sum(axis=1)) / 2
+    kept = np.flatnonzero(likelihood > likelihood.max() - QUANTILE**2 / 2)
+    return float(tried[kept[-1]])
 
 
 def _scatter_found(eigenvalues: Array, dof: float, usual: float, price: float, beyond: float) -> float:
