@@ -409,7 +409,7 @@ def test_the_command_lists_each_effect_once_and_where_own_ones_have_sizes_of_the
 ) -> None:
     assert run(["effects", "--json"]) == 0
     for name, kind in json.loads(capsys.readouterr().out)["kinds"].items():
-        forms = [(one["name"], one["by"], *one["where"], *one["among"]) for one in kind["effects"]]
+        forms = [(one["name"], one["by"], one["formula"], *one["where"], *one["among"]) for one in kind["effects"]]
         assert len(set(forms)) == len(forms), name
         assert run(["effects", name]) == 0
         text = capsys.readouterr().out

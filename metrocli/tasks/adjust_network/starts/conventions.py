@@ -120,6 +120,8 @@ def written_otherwise(table: Table, elevation: Array) -> Iterator[tuple[Mistake,
 
     They are those of all stations or of a single one. `elevation` is that of each sighting, as it was read.
     """
+    if "station" not in table:
+        return
     station = np.array(table.texts("station"), dtype=object)
     names = list(dict.fromkeys(station.tolist()))
     for words, write, columns in _other_ways(table, elevation):
