@@ -230,7 +230,8 @@ def _candidate(job: AdjustedJob, candidate: DetectableCandidate, word: str, stru
     return _open(own.effect, own.where, word, reason(candidate, word, structure)) | {
         "visible_share": candidate.visible,
         **_sizes(candidate),
-        "hides": _hides(job, candidate.undetected),
+        # what is in the model changes no result unseen
+        "hides": None if word == Status.NAMED else _hides(job, candidate.undetected),
     }
 
 

@@ -66,6 +66,8 @@ def _line(
     places = ["/".join(candidate.alternative.instance) for candidate in candidates if candidate.alternative.instance]
     where = listed(places, _SHOWN)
     effect = candidates[0].alternative.effect
+    if word == status.Status.NAMED:
+        return name, where, word, "", "", ""
     excluded = word == status.Status.EXCLUDED
     sizes = [
         status.excluded_above(candidate) if excluded else candidate.detectable
