@@ -25,6 +25,7 @@ from metrocli.diagnosis.evidence.search import pruned
 from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.explanations import (
     correlated_errors,
+    correlated_instead,
     noise_instead,
     random_effects,
     smooth,
@@ -179,7 +180,7 @@ def _findings(
     for name, gain, shift in sorted(named, key=lambda entry: -entry[1].log_score):
         change = linear_change(m.job, m.system, name) if shift is None else shift
         part = next(entry for entry in state.named if entry.key == name.key)
-        instead = noise_instead(state, part)
+        instead = (*noise_instead(state, part), *correlated_instead(state, part))
         yield Finding(name, sizes(m.job, name), gain, change, _other_shape_from(state, name, noise), instead)
 
 

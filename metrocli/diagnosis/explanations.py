@@ -13,21 +13,24 @@ import numpy as np
 from metrocli.adjust.model.observations import Mask
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.correlated_error import CorrelatedError
+from metrocli.diagnosis.evidence import variances
 from metrocli.diagnosis.evidence.folds import gain_of_parts
 from metrocli.diagnosis.evidence.identified import IdentifiedEffect, Rival
 from metrocli.diagnosis.evidence.measurement import LENGTHS
-from metrocli.diagnosis.evidence.moves import effects
+from metrocli.diagnosis.evidence.moves import Move, effects
 from metrocli.diagnosis.evidence.parts import CORRELATED, EFFECT, SCATTER, Fixed, Random
 from metrocli.diagnosis.evidence.prices import ALIKE
+from metrocli.diagnosis.evidence.refined import refined
 from metrocli.diagnosis.evidence.search import forward
 from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.evidence.weights import tried_noise
 from metrocli.diagnosis.extended_fit import readings_kept, result_change, with_random_effect
-from metrocli.diagnosis.findings import Instead, RandomEffect, Unconfirmed
+from metrocli.diagnosis.findings import DEPENDS_ON, OF_EACH, Instead, RandomEffect, Unconfirmed
 from metrocli.diagnosis.linear.distributions import log_family
 from metrocli.diagnosis.linear.projection import READING
 from metrocli.diagnosis.noise import AS_OTHERS, DECLARED_SIGMA
 from metrocli.diagnosis.rounds import searched_from
+from metrocli.effects.correlated import NAME as CORRELATED_ERROR
 from metrocli.effects.effect import Effect
 
 _PART, _TOGETHER = 0.25, 3
@@ -101,6 +104,28 @@ def _as_noise(state: State, less: State, number: int, ratio: float) -> list[Inst
     key, name, _ = state.measurement.units[number]
     # exp overflows above 709
     return [Instead("noise", {key: name}, float(np.exp(min(ahead, 700.0))))]
+
+
+def correlated_instead(state: State, part: Fixed) -> tuple[Instead, ...]:
+    """Return the correlated error that explains the readings better than an effect, which is preferred to it.
+
+    Where it explains them less well, it is no rival: it is a worse explanation, and names no cause.
+    """
+    m, less = state.measurement, state.minus([part])
+    # with all sizes estimated anew it explains less than at first
+    entering = next((each for each in variances.correlated_errors(less, set(), 1)), None)
+    if entering is None or entering.net <= state.score - less.score:
+        return ()
+    ahead = refined(Move(entering.net, entering=entering).made(less)).score - state.score
+    if ahead <= 0:
+        return ()
+    functions, unit = m.knots[entering.key[0]], entering.key[2]
+    where = {DEPENDS_ON: functions.name}
+    if unit >= 0:
+        where[functions.by] = m.job.model.places[functions.by].names[unit]
+    elif functions.by:
+        where[OF_EACH] = functions.by
+    return (Instead(CORRELATED_ERROR, where, float(np.exp(min(ahead, 700.0)))),)
 
 
 def relative_spread(state: State, number: int) -> float:

@@ -41,6 +41,8 @@ class Verdict(StrEnum):
     """A quick diagnosis, which did not look for all that could be left"""
 
 
+DEPENDS_ON, OF_EACH = "depends_on", "of_each"
+"""Keys of what a correlated error varies with, and of the units in which it is independent"""
 UNREACHED = "what the search did not reach"
 """What structure varies with if the search ended before it was looked at"""
 
@@ -68,18 +70,21 @@ class RemainingStructure:
 
 @dataclass(frozen=True)
 class Instead:
-    """An effect at all its places, or a larger noise of some readings, that explains the readings as well."""
+    """An effect at all its places, a larger noise of some readings, or a correlated error, that explains as well."""
 
     name: str
-    """Of an effect at all its places, or `noise`"""
+    """Of an effect at all its places, `noise`, or `correlated-error`"""
     where: Mapping[str, str]
-    """The group of readings, or the place, that has a noise of its own; empty for an effect"""
+    """The group of readings, or the place, that has its own noise; what an error depends on; empty for an effect"""
     odds: float
     """Ratio of its likelihood to that of what was found"""
 
     def __str__(self) -> str:
         if DECLARED_SIGMA in self.where:
             return f"the sigma of each {self.where[DECLARED_SIGMA].removeprefix('prior of ')}"
+        if DEPENDS_ON in self.where:
+            units = (f" of each {name}" if key == OF_EACH else f" of {key} {name}" for key, name in self.where.items())
+            return f"an error that varies smoothly with {self.where[DEPENDS_ON]}{''.join(list(units)[1:])}"
         place = " ".join(name if key == READING else f"{key} {name}" for key, name in self.where.items())
         return f"{self.name} of {place}" if self.where else f"{self.name} everywhere"
 
@@ -144,8 +149,8 @@ class Finding:
     """Largest change of the delivered result by it"""
     other_shape_from: float
     """Relative difference in shape from which another cause would have been detected beside it (80 % power)"""
-    noise: tuple[Instead, ...] = ()
-    """Larger noise of the readings at its place, such as its image, that explains them as well"""
+    errors: tuple[Instead, ...] = ()
+    """Larger noise of the readings at its place (image), or a correlated error, that explains them as well"""
 
     @property
     def confirmed(self) -> bool:
@@ -174,7 +179,7 @@ class Finding:
             frozenset(map(str, (rival.alternative, *rival.beside))): str(rival)
             for rival in reversed(self.effect.rivals)
         }
-        return (*reversed(together.values()), *map(str, self.noise))
+        return (*reversed(together.values()), *map(str, self.errors))
 
 
 @dataclass(frozen=True)

@@ -155,7 +155,7 @@ def _effect(job: AdjustedJob, finding: Finding) -> dict[str, Any]:
                 | ({"with": [*map(_named, rival.beside)]} if rival.beside else {})
                 for rival in name.rivals
             ),
-            *(asdict(noise) | {"correlation": None} for noise in finding.noise),
+            *(asdict(error) | {"correlation": None} for error in finding.errors),
         ],
         "by": name.alternative.effect.by or None,
         "forms": [{"by": form.alternative.effect.by, "odds": form.odds} for form in name.forms],

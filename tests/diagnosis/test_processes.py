@@ -58,6 +58,20 @@ def test_what_wavers_gets_no_name_and_is_reported() -> None:
         assert shown["std"]["value"] == pytest.approx(1e3 * found.correlated_errors[0].std)
 
 
+def test_a_correlated_error_that_explains_more_than_a_name_is_listed_instead_of_it() -> None:
+    """A jump is preferred, since it says what is wrong, but the report does not hide that a smooth error fits better."""
+    found, _ = wavering(23)
+    (jump,) = found.findings
+    assert jump.instead == ("an error that varies smoothly with t_s of each tracer",)
+    assert found.verdict is Verdict.INDISTINCT
+    (other,) = as_data(found)["effects"][0]["alternatives"]
+    assert other["name"] == "correlated-error" and other["where"] == {"depends_on": "t_s", "of_each": "tracer"}
+    assert 1 < other["odds"] < 20
+    drift, place = wavering(4, "dead-path-drift", 4.0)
+    (own,) = (one for one in drift.findings if place in str(one))
+    assert not own.errors
+
+
 @pytest.mark.parametrize(
     ("std", "unit", "dimension", "text"),
     [(37.4, "mm", "length", "37 mm"), (2.14e-4, "", "length", "0.21 um"), (0.31, "px", "pixel", "0.31 px")],
