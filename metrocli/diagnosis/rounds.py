@@ -6,6 +6,7 @@ Method: docs/algorithms/evidence.md.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from itertools import islice
 from math import log
 
@@ -17,6 +18,7 @@ from metrocli.diagnosis.evidence.measured_job import measurement_of
 from metrocli.diagnosis.evidence.measurement import Measurement
 from metrocli.diagnosis.evidence.moves import effects
 from metrocli.diagnosis.evidence.parts import LARGEST, SCATTER, Fixed, Random
+from metrocli.diagnosis.evidence.prices import ALIKE
 from metrocli.diagnosis.evidence.refined import refined
 from metrocli.diagnosis.evidence.search import against_smooth, forward, pruned, swapped
 from metrocli.diagnosis.evidence.state import State
@@ -105,8 +107,8 @@ def _old_and_new(state: State) -> tuple[list[Fixed], list[Fixed]]:
     return [part for part, is_old in both if is_old], [part for part, is_old in both if not is_old]
 
 
-def _continued(state: State, m: Measurement) -> State:
-    """Return a state in another linearisation: the search there goes on with what it has found in the first one.
+def _standing(state: State, m: Measurement) -> State:
+    """Return a state in another linearisation, with what it has found in the first one.
 
     It begins anew where the candidates are not the same, as after a scan whose best value was refined: with the terms
     of the job's own blocks with which that solution is adjusted.
@@ -115,8 +117,23 @@ def _continued(state: State, m: Measurement) -> State:
     if not alike:
         terms = {(standing.effect.name, standing.instance) for standing in m.job.standing}
         every = ((family, at) for family, one in enumerate(m.families) for at in range(len(one.alternatives)))
-        return pruned(State.of(m, [m.effect(*key) for key in every if m.alternative(key).spot in terms]))
-    return pruned(_chosen_anew(state.at(with_noise(m, noise) if noise else m).settled()))
+        return State.of(m, [m.effect(*key) for key in every if m.alternative(key).spot in terms])
+    return state.at(with_noise(m, noise) if noise else m).settled()
+
+
+def _with_rivals(state: State, others: Sequence[State]) -> State:
+    """Return a state whose terms of a lens have as rivals those that explain as well, each about its own solution.
+
+    To first order about the solution with one term, another that bends differently explains less.
+    """
+    for other in others:
+        ahead, mine = other.score - state.score, {part.key for part in state.named}
+        new = [part for part in other.named if part.key not in mine]
+        gone = [part for part in state.named if part.key not in {one.key for one in other.named}]
+        if ahead > -ALIKE and len(gone) == len(new) == 1:
+            rivals = (*gone[0].rivals, (new[0].key, min(ahead, 0.0)))
+            state = state.with_fixed(state.fixed.index(gone[0]), replace(gone[0], rivals=rivals))
+    return state
 
 
 def _candidates(m: Measurement) -> list[object]:
@@ -253,9 +270,11 @@ def searched_from(job: AdjustedJob, begin: State, quick: bool, without: Sequence
             # the job cannot be adjusted with them: then the search goes on beside their first order
             state = forward(state, least=least, since=since, without=without)
             break
-        begun = [_continued(fit.state, measurement_of(fit.relinearised(job), None, m, alone)) for fit in fits]
+        standing = [_standing(fit.state, measurement_of(fit.relinearised(job), None, m, alone)) for fit in fits]
+        begun = [pruned(_chosen_anew(each)) for each in standing]
         # the adjustments do not know correlated errors and random effects, the states do
         best, continued = max(zip((fit.state for fit in fits), begun, strict=True), key=lambda both: both[1].score)
+        continued = _with_rivals(continued, standing)
         if not dominated and continued.score <= state.score:
             break
         state = best

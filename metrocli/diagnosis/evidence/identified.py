@@ -197,9 +197,13 @@ def _rivals(less: State, part: Fixed, values: Array, variance: float) -> tuple[t
         along = family.columns.products(visible[:, None])[:, :, 0]
         cosine2 = np.clip(quadratic(gram, along, family.raw)[0] / shown, 0.0, 1.0)
         odds = gain - m.prices.of_ranks(number, rank) - mine
+        # a term of a lens bends: about its own solution it may explain more
+        of_own = {at: ahead for (of, at), ahead in part.rivals if of == number}
+        for at, ahead in of_own.items():
+            odds[at] = max(odds[at], ahead)
         elsewhere = (at for at in np.argsort(-odds).tolist() if family.alternatives[at].spot not in {*taken, own.spot})
         second = max(second, float(odds[next(elsewhere, [])].max(initial=-np.inf)))
-        for at in np.flatnonzero((gain > _SHOWS) & explains_as_well(odds, cosine2, t / variance)).tolist():
+        for at in {*np.flatnonzero((gain > _SHOWS) & explains_as_well(odds, cosine2, t / variance)).tolist(), *of_own}:
             other = family.alternatives[at]
             if other.form == own.form or (other.spot != own.spot and other.spot in taken):
                 # another value of the same form is an alias and no rival; it is found where the scan is refined

@@ -38,6 +38,8 @@ class Fixed:
     sort: str = EFFECT
     aliases: tuple[tuple[str, float, float], ...] = ()
     """Other values of a scanned parameter that fit alike: its name, the value, and the odds against the chosen one"""
+    rivals: tuple[tuple[tuple[int, int], float], ...] = ()
+    """Terms of a lens that explain as well, each about its own solution: key, and ln of the odds"""
 
     @property
     def key(self) -> tuple[int, int]:

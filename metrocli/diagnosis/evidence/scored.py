@@ -209,7 +209,7 @@ class Scored:
         if part.is_reading:
             return measurement.reading(part.number)
         if part.family >= 0:
-            return replace(measurement.effect(*part.key), aliases=part.aliases)
+            return replace(measurement.effect(*part.key), aliases=part.aliases, rivals=part.rivals)
         # a term of a law is added last, when only weights change any more
         whole = part.columns * (measurement.weights / self.measurement.weights)[:, None]
         term = measurement.term(whole, (TERMS - part.family, part.number), part.price)

@@ -9,6 +9,7 @@ import pytest
 
 from benchmarks.hidden import images
 from benchmarks.hidden.scenes import board_scene
+from metrocli.diagnosis.evidence.identified import identified
 from metrocli.diagnosis.evidence.measured_job import measurement_of
 from metrocli.diagnosis.evidence.moves import Move
 from metrocli.diagnosis.evidence.parts import CORRELATED, EFFECT, SCATTER
@@ -16,7 +17,7 @@ from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.evidence.variances import Found, scattered_effects
 from metrocli.diagnosis.evidence.weights import with_noise
 from metrocli.diagnosis.explanations import not_confirmed, with_confirmed
-from metrocli.diagnosis.rounds import _terms_instead
+from metrocli.diagnosis.rounds import _terms_instead, _with_rivals
 from tests.diagnosis.evidence.test_dense import with_residual
 
 
@@ -58,6 +59,29 @@ def test_an_effect_at_all_its_places_is_not_like_an_error_with_its_number() -> N
     error = Move(1.0, entering=Found(1.0, CORRELATED, found.key, found.log))
     assert not error.is_like(found.part(m))
     assert Move(1.0, entering=found).is_like(found.part(m))
+
+
+def test_a_term_that_explains_as_well_about_its_own_solution_is_a_rival() -> None:
+    """To first order about the other's it explains less: about each solution, the readings look like its own term."""
+    rng = np.random.default_rng(24)
+    m = measurement_of(images.read(board_scene(rng, 8, (5, 4)), rng).adjusted())
+    numbers = {family.alternatives[0].effect.name: n for n, family in enumerate(m.families)}
+    noise = m.system.seen(rng.normal(size=m.system.rows))
+
+    def alone(name: str, left: float) -> State:
+        part = m.effect(numbers[name], 0)
+        shown = m.system.seen(part.columns[:, 0])
+        return State.of(with_residual(m, left * noise + 25.0 * shown / np.linalg.norm(shown)), [part])
+
+    state, as_well, less = alone("thin-prism", 1.0), alone("sensor-tilt", 1.0), alone("axis-skew", 1.2)
+    before = [one.alternative.effect.name for one in identified(state, state.fixed[0]).rivals]
+    assert not before
+    found = _with_rivals(state, [state, as_well, less])
+    (rival,) = identified(found, found.fixed[0]).rivals
+    assert rival.alternative.effect.name == "sensor-tilt" and 0.05 < rival.odds <= 1
+    # it stays one where the same parts have other weights
+    (kept,) = found.at(with_noise(found.measurement, {0: 1.1})).fixed
+    assert kept.rivals == found.fixed[0].rivals
 
 
 def test_a_wave_that_nothing_names_is_tried_in_place_of_no_term_of_a_lens(monkeypatch: pytest.MonkeyPatch) -> None:
