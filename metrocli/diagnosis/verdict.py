@@ -14,7 +14,7 @@ from metrocli.diagnosis.adjusted_job import REPORTED, AdjustedJob
 from metrocli.diagnosis.correlated_error import CorrelatedError
 from metrocli.diagnosis.detectability import Detectability
 from metrocli.diagnosis.evidence.gain import Gain
-from metrocli.diagnosis.findings import Diagnosis, Finding, RandomEffect, RemainingStructure
+from metrocli.diagnosis.findings import Diagnosis, Finding, Instead, RandomEffect, RemainingStructure
 from metrocli.diagnosis.laws.definition import written
 from metrocli.diagnosis.laws.law import Law
 from metrocli.diagnosis.linear.candidates import Candidate
@@ -155,7 +155,7 @@ def _effect(job: AdjustedJob, finding: Finding) -> dict[str, Any]:
                 | ({"with": [*map(_named, rival.beside)]} if rival.beside else {})
                 for rival in name.rivals
             ),
-            *(asdict(error) | {"correlation": None} for error in finding.errors),
+            *map(_error, finding.errors),
         ],
         "by": name.alternative.effect.by or None,
         "forms": [{"by": form.alternative.effect.by, "odds": form.odds} for form in name.forms],
@@ -185,7 +185,7 @@ def _scatter(job: AdjustedJob, scatter: RandomEffect) -> dict[str, Any]:
         "where": {},
         "parameters": {"std": {"value": scatter.std, "std": scatter.spread, "unit": effect.parameters[0].unit}},
         "p_value": float(np.exp(scatter.log_level)),
-        "alternatives": [asdict(rival) | {"correlation": None} for rival in scatter.rivals],
+        "alternatives": [*map(_error, scatter.rivals)],
         "times_usual": scatter.times_usual,
         "other_shape_from": None,
         "gain": _gain(scatter.gain, job) | {"result_shift": delivered(job, scatter.shift)},
@@ -194,6 +194,10 @@ def _scatter(job: AdjustedJob, scatter: RandomEffect) -> dict[str, Any]:
 
 def _named(alternative: Candidate) -> dict[str, Any]:
     return {"name": alternative.effect.name, "where": alternative.where | dict(alternative.named)}
+
+
+def _error(instead: Instead) -> dict[str, Any]:
+    return asdict(instead) | {"correlation": None, "words": str(instead)}
 
 
 def _gain(gain: Gain, job: AdjustedJob) -> dict[str, Any]:

@@ -268,7 +268,7 @@ def _effect(effect: Mapping[str, Any]) -> str:
 
 
 def _named(effect: Mapping[str, Any]) -> str:
-    name = " ".join([str(effect.get("name", "")), *map(str, dict(effect.get("where") or {}).values())])
+    name = effect.get("words") or " ".join(map(str, [effect["name"], *dict(effect.get("where") or {}).values()]))
     return " with ".join(filter(None, [name, in_a_row([*map(_named, effect.get("with", ()))])]))
 
 

@@ -66,7 +66,7 @@ def test_a_correlated_error_that_explains_more_than_a_name_is_listed_instead_of_
     assert found.verdict is Verdict.INDISTINCT
     (other,) = as_data(found)["effects"][0]["alternatives"]
     assert other["name"] == "correlated-error" and other["where"] == {"depends_on": "t_s", "of_each": "tracer"}
-    assert 1 < other["odds"] < 20
+    assert 1 < other["odds"] < 20 and other["words"] == jump.instead[0]
     drift, place = wavering(4, "dead-path-drift", 4.0)
     (own,) = (one for one in drift.findings if place in str(one))
     assert not own.errors
