@@ -23,7 +23,7 @@ from metrocli.instruments import tracer as t
 from metrocli.instruments.tracker import AZIMUTH, DISTANCE, ELEVATION
 from metrocli.simulation import Simulation
 from metrocli.table import Table
-from metrocli.tasks.adjust_network.groups import BARS, HEIGHTS, LENGTHS, ROW, is_sighting
+from metrocli.tasks.adjust_network.groups import BARS, GIVEN_POINTS, HEIGHTS, LENGTHS, ROW, is_sighting
 from metrocli.tasks.adjust_network.noise import component
 from metrocli.tasks.adjust_network.problem import Network, build, weighed_at
 from metrocli.tasks.adjust_network.readings import read
@@ -159,10 +159,25 @@ def simulated(
         if table is not None and name in read_:
             tables[f"{name}.csv"] = table.without(column).changed({column: read_[name][0]})
     names, places = readings.points.names, readings.points.listed
-    listed_at = places + rng.normal(0.0, 1.0, places.shape) * truth.point_error
-    tables["points.csv"] = listed_places("point", names, listed_at)
+    tables["points.csv"] = _list_of_points(
+        network, files, read_, places, rng.normal(0.0, truth.point_error, places.shape)
+    )
     tables["true_points.csv"] = listed_places("point", names, places)
     return Simulation(tables, _truth(model) | true_values(model))
+
+
+def _list_of_points(network: Network, files: Files, read_: Mapping[str, Array], places: Array, errors: Array) -> Table:
+    """Return the list of points at places (n, 3) mm: known coordinates as their sigmas state, others with `errors`."""
+    known = np.isfinite(network.readings.points.sigma)
+    listed = places + np.where(known, 0.0, errors)
+    for axis in range(3):
+        if (name := f"{GIVEN_POINTS} {'xyz'[axis]}") in read_:
+            group = next(group for group in network.model.readings if group.name == name)
+            # it reads the difference of the list from the truth
+            listed[group.observations.index[t.POINT].ravel(), axis] += read_[name].ravel()
+    if not known.any() or not isinstance(files.points, Table):
+        return listed_places("point", network.readings.points.names, listed)
+    return files.points.changed(dict(zip("xyz", listed[: len(files.points)].T, strict=True)))
 
 
 def _read(group: Group, model: Model, rng: np.random.Generator) -> Array:

@@ -1,0 +1,69 @@
+"""A simulated list of points has what the job knows of them: exact coordinates, coordinates with sigma, rough places."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from simulated.network import SIZE
+
+Metrocli = Callable[..., Any]
+ROUGH = 0.5
+"""Standard deviation of the places without a sigma [mm]"""
+JOB = f"""\
+metrocli: 1
+job: adjust-network
+inputs: {{points: points.csv, stations: stations.csv}}
+instruments: {{A: {{type: tracker, noise: {{azimuth: 2 urad, elevation: 2 urad, distance: {{constant: 5 um}}}}}}}}
+datum: given
+simulation: {{point_error: {ROUGH} mm}}
+output: result.h5
+"""
+EFFECTS = ("given-point:point=P01,dx=0.3mm,dy=0mm,dz=-0.2mm", "given-point:point=P07,dx=0mm,dy=0.4mm,dz=0mm")
+
+
+def simulated(folder: Path, metrocli: Metrocli) -> Path:
+    """Write a network of which six points are exact and six known to 0.01 mm, and simulate it; return its new job."""
+    places = np.random.default_rng(31).uniform(0, 1, (16, 3)) * SIZE
+    sigmas = [*["0"] * 6, *["0.01"] * 6, *[""] * 4]
+    rows = [
+        f"P{i:02d},{x:.6f},{y:.6f},{z:.6f},{s}" for i, ((x, y, z), s) in enumerate(zip(places, sigmas, strict=True))
+    ]
+    (folder / "points.csv").write_text("\n".join(["point,x_mm,y_mm,z_mm,sigma_mm", *rows]) + "\n")
+    stations = [f"S{i},A,{x},{y},1200" for i, (x, y) in enumerate([(800, 700), (7000, 900), (4000, 4300)])]
+    (folder / "stations.csv").write_text("\n".join(["station,instrument,x_mm,y_mm,z_mm", *stations]) + "\n")
+    (folder / "job.yaml").write_text(JOB)
+    added = [word for effect in EFFECTS for word in ("--effect", effect)]
+    ran = metrocli("simulate", folder / "job.yaml", "--out", folder / "new", "--seed", "3", *added)
+    assert ran.code == 0, ran.err
+    names = {"points: points": "points: new/points", "stations:": "readings: new/readings.csv, stations:"}
+    text = JOB
+    for old, new in names.items():
+        text = text.replace(old, new)
+    (folder / "new.yaml").write_text(text)
+    return folder / "new.yaml"
+
+
+def test_known_coordinates_stay_known_in_a_simulated_list(tmp_path: Path, metrocli: Metrocli) -> None:
+    job = simulated(tmp_path, metrocli)
+
+    def listed(name: str) -> list[list[str]]:
+        return [line.split(",") for line in (tmp_path / name).read_text().splitlines()[1:]]
+
+    true, new = listed("points.csv"), listed("new/points.csv")
+    off = np.array([[float(x) for x in row[1:4]] for row in new]) - [[float(x) for x in row[1:4]] for row in true]
+    assert np.abs(off[:6]).max() < 1e-6
+    known = np.delete(off[6:12], 1, axis=0)
+    assert 0.004 < np.sqrt((known**2).mean()) < 0.016
+    # the list of P07 is off by the effect, and by its sigma
+    assert np.abs(off[7] - [0, 0.4, 0]).max() < 0.05
+    assert 0.2 < np.sqrt((off[12:] ** 2).mean()) < 0.9
+    assert [float(row[4] or "nan") for row in new[:12]] == [0.0] * 6 + [0.01] * 6 and not any(r[4] for r in new[12:])
+    ran = metrocli("diagnose", job, "--json")
+    assert ran.code == 0, ran.err
+    found = {one["where"]["point"]: one["parameters"] for one in json.loads(ran.out)["effects"]}
+    assert set(found) == {"P01", "P07"}
+    assert abs(found["P01"]["dx"]["value"] - 0.3) < 0.03 and abs(found["P07"]["dy"]["value"] - 0.4) < 0.06
