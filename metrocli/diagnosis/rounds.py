@@ -126,7 +126,8 @@ def _with_rivals(state: State, others: Sequence[State]) -> State:
 
     To first order about the solution with one term, another that bends differently explains less.
     """
-    for other in others:
+    # keys are those of other effects where the candidates are others
+    for other in (each for each in others if _candidates(each.measurement) == _candidates(state.measurement)):
         ahead, mine = other.score - state.score, {part.key for part in state.named}
         new = [part for part in other.named if part.key not in mine]
         gone = [part for part in state.named if part.key not in {one.key for one in other.named}]

@@ -203,7 +203,8 @@ def _rivals(less: State, part: Fixed, values: Array, variance: float) -> tuple[t
             odds[at] = max(odds[at], ahead)
         elsewhere = (at for at in np.argsort(-odds).tolist() if family.alternatives[at].spot not in {*taken, own.spot})
         second = max(second, float(odds[next(elsewhere, [])].max(initial=-np.inf)))
-        for at in {*np.flatnonzero((gain > _SHOWS) & explains_as_well(odds, cosine2, t / variance)).tolist(), *of_own}:
+        as_well = np.flatnonzero((gain > _SHOWS) & explains_as_well(odds, cosine2, t / variance)).tolist()
+        for at in sorted({*as_well, *of_own}):
             other = family.alternatives[at]
             if other.form == own.form or (other.spot != own.spot and other.spot in taken):
                 # another value of the same form is an alias and no rival; it is found where the scan is refined
