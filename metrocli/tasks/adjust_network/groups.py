@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -44,7 +44,7 @@ GIVEN_POINTS = "given points"
 _MOST_LISTED = 500
 """Most given points whose coordinates are tested one by one"""
 _MOST_EXACT = 100
-"""Most points of a group whose exact coordinates are tested one by one"""
+"""Most points whose exact coordinates are tested one by one"""
 OF_POINT, OF_STATION, OF_INSTRUMENT, OF_TRACER, OF_BAR, OF_SETUP, OF_LINE = (
     f"number of {name}" for name in ("point", "station", "instrument", "tracer", "bar", "setup", "line")
 )
@@ -249,13 +249,21 @@ def given(readings: NetworkReadings, blocks: Mapping[str, Block]) -> Iterator[Gr
             yield _of_list(replace(group, name=f"{GIVEN_POINTS} {'xyz'[axis]}"), rows, block)
 
 
-def with_exact_lists(group: Group, readings: NetworkReadings) -> Group:
-    """Return a group of readings with a condition for each of its points whose listed coordinates are exact."""
-    exact = (readings.points.sigma == 0).any(axis=1)
-    of_group = np.unique(group.observations.index[POINT])
-    ones = np.ones(group.observations.count)
-    named = {listed_exactly(readings.points.names[i]): ones for i in of_group[exact[of_group]][:_MOST_EXACT].tolist()}
-    return replace(group, observations=group.observations.with_conditions(named)) if named else group
+def with_exact_lists(groups: Sequence[Group], readings: NetworkReadings) -> list[Group]:
+    """Return groups of readings with a condition for each of their points whose listed coordinates are exact.
+
+    A point that is tested has one in every group that reads it: what is wrong in its list is wrong for all of them.
+    """
+    of_groups = [np.unique(group.observations.index[POINT]) for group in groups]
+    exact = np.flatnonzero((readings.points.sigma == 0).any(axis=1))
+    tested = exact[np.isin(exact, np.concatenate([*of_groups, exact[:0]]))][:_MOST_EXACT]
+    changed = []
+    for group, members in zip(groups, of_groups, strict=True):
+        ones = np.ones(group.observations.count)
+        named = {listed_exactly(readings.points.names[i]): ones for i in np.intersect1d(members, tested).tolist()}
+        observations = group.observations.with_conditions(named) if named else group.observations
+        changed.append(replace(group, observations=observations))
+    return changed
 
 
 def _of_list(group: Group, members: Index, block: Block) -> Group:

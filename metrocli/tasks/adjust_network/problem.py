@@ -90,7 +90,7 @@ def build(
         *g.bars(readings),
         *g.heights(readings, settings),
     ]
-    groups = [g.with_exact_lists(group, readings) for group in groups]
+    groups = g.with_exact_lists(groups, readings)
     groups += g.given(readings, blocks)
     noise: dict[str, Noise] = {group.name: n.of_sightings for group in groups if g.is_sighting(group)}
     if any(group.name == g.LENGTHS for group in groups):

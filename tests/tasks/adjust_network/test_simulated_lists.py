@@ -67,3 +67,25 @@ def test_known_coordinates_stay_known_in_a_simulated_list(tmp_path: Path, metroc
     found = {one["where"]["point"]: one["parameters"] for one in json.loads(ran.out)["effects"]}
     assert set(found) == {"P01", "P07"}
     assert abs(found["P01"]["dx"]["value"] - 0.3) < 0.03 and abs(found["P07"]["dy"]["value"] - 0.4) < 0.06
+
+
+def test_a_wrong_exact_point_is_wrong_for_all_that_reads_it(tmp_path: Path, metrocli: Metrocli) -> None:
+    """Of more exact points than are tested, the levelled ones are last: none acts on the heights alone."""
+    places = np.random.default_rng(32).uniform(0, 1, (104, 3)) * SIZE
+    rows = [f"P{i:03d},{x:.6f},{y:.6f},{z:.6f},0" for i, (x, y, z) in enumerate(places)]
+    (tmp_path / "points.csv").write_text("\n".join(["point,x_mm,y_mm,z_mm,sigma_mm", *rows]) + "\n")
+    (tmp_path / "stations.csv").write_text("station,instrument,x_mm,y_mm,z_mm\nS0,A,800,700,1200\n")
+    (tmp_path / "heights.csv").write_text("from,to,dh_mm,sigma_mm\nP099,P103,0,0.02\nP098,P099,0,0.02\n")
+    (tmp_path / "job.yaml").write_text(JOB.replace("inputs: {", "inputs: {heights: heights.csv, "))
+
+    def simulated_with(point: str, name: str) -> Any:
+        effect = f"given-point:point={point},dx=0mm,dy=0mm,dz=9mm"
+        command = ("simulate", tmp_path / "job.yaml", "--out", tmp_path / name, "--seed", "3")
+        return metrocli(*command, *(("--effect", effect) if point else ()))
+
+    assert simulated_with("", "true").code == 0
+    for point, acts in (("P099", True), ("P103", False)):
+        ran = simulated_with(point, point)
+        assert (ran.code == 0) == acts, ran.err
+        for file in ("readings.csv", "heights.csv") if acts else ():
+            assert (tmp_path / point / file).read_text() != (tmp_path / "true" / file).read_text()
