@@ -1,13 +1,16 @@
-"""Stations of an adjusted network: their places, angles and heights with uncertainties, as estimates and as a table."""
+"""Points and stations of an adjusted network: places, angles and heights with uncertainties."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
+from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.solution import Solution
-from metrocli.arrays import Array, Index
+from metrocli.arrays import Array, Index, Mask
+from metrocli.effects.links.stations import ExactListedWrongly
+from metrocli.effects.model import Added
 from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.instruments import stations as s
@@ -15,8 +18,46 @@ from metrocli.instruments import tracer as t
 from metrocli.result import Estimate
 from metrocli.table import Table
 from metrocli.tasks.adjust_network.problem import Network
+from metrocli.tasks.shared.joint_covariance import factors, factors_less
 
 _ANGLES = ("alpha", "beta", "gamma")
+_LARGEST_JOINT = 2000
+"""Most points whose joint covariance the result holds as one matrix"""
+
+
+def true_places(blocks: Mapping[str, Block], effects: Sequence[Added]) -> Array:
+    """Return where points are, (n, 3): the exact coordinates of a list less the errors that effects give them."""
+    values = blocks[t.POINT].values.copy()
+    for point, name in _wrong_lists(blocks, effects):
+        values[point] -= blocks[name].values[0]
+    return values
+
+
+def _wrong_lists(blocks: Mapping[str, Block], effects: Sequence[Added]) -> Iterator[tuple[int, str]]:
+    """Yield points whose exact listed coordinates an effect takes for wrong, with the block of their errors."""
+    for one in effects:
+        where = dict(zip(one.effect.keys, one.instances[0], strict=True))
+        if one.effect.link is not None and isinstance(one.effect.link(one.block, where), ExactListedWrongly):
+            yield blocks[t.POINT].members.index(where["point"]), one.block
+
+
+def covariances_of_points(network: Network, solution: Solution, seen: Mask) -> dict[str, Array]:
+    """Return the covariance of each point that is `seen`, and what the points share, for the result."""
+    known, wrong = solution.covariance_or_raise(), [*_wrong_lists(solution.blocks, network.effects)]
+    each, joint = known.members(t.POINT)[seen], None
+    shared, rows = factors(known, t.POINT, seen), np.repeat(seen, 3)
+    if seen.sum() <= _LARGEST_JOINT:
+        joint = known.of(t.POINT)[np.ix_(rows, rows)]
+    if wrong:
+        at = np.concatenate([np.eye(len(rows))[:, 3 * point : 3 * point + 3] for point, _ in wrong], axis=1)[rows]
+        by = np.concatenate([known.between(t.POINT, name) for _, name in wrong], axis=1)[rows]
+        own = np.block([[known.between(a, b) for _, b in wrong] for _, a in wrong])
+        shared = factors_less(shared, at, by, own)
+        crossed, ats = (part.reshape(-1, 3, len(own)) for part in (by, at))
+        both = np.einsum("nia,nja->nij", crossed, ats)
+        each = each - both - np.swapaxes(both, 1, 2) + ats @ own @ np.swapaxes(ats, 1, 2)
+        joint = None if joint is None else joint - by @ at.T - at @ by.T + at @ own @ at.T
+    return {"points_covariance": each, **shared} | ({} if joint is None else {"points_joint_covariance": joint})
 
 
 @dataclass(frozen=True)
@@ -117,11 +158,14 @@ def _over(network: Network, solution: Solution, number: int, name: str) -> list[
     """Return the place of a station over a point, `P + L o`, and its height."""
     offsets, points = solution.blocks[s.OVER], solution.blocks[t.POINT]
     row, point = offsets.members.index(name), int(network.readings.stations.over[number])
-    lean = _lean(network, points.values[point])
-    place = points.values[point] + lean @ offsets.values[row]
+    wrong = [error for at, error in _wrong_lists(solution.blocks, network.effects) if at == point]
+    mark = true_places(solution.blocks, network.effects)[point]
+    lean = _lean(network, mark)
+    place = mark + lean @ offsets.values[row]
     rows = []
     for k, axis in enumerate("xyz"):
         by = [(t.POINT, 3 * point + k, 1.0)] if points.free[point, k] else []
+        by += [(error, k, -1.0) for error in wrong if solution.blocks[error].free[0, k]]
         by += [(s.OVER, 3 * row + i, float(lean[k, i])) for i in range(3) if offsets.free[row, i] and lean[k, i]]
         rows.append(_Row(f"{name}.{axis}", float(place[k]), "mm", tuple(by)))
     return [*rows, *_entry(solution, s.OVER, name, 2, f"{name}.height")]

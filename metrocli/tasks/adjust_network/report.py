@@ -17,11 +17,10 @@ from metrocli.result import Result, ShownTable
 from metrocli.table import Table
 from metrocli.tasks.adjust_network import KIND
 from metrocli.tasks.adjust_network.groups import BARS, GIVEN_POINTS, HEIGHTS, OF_INSTRUMENT, is_sighting
-from metrocli.tasks.adjust_network.placed import placed_stations
+from metrocli.tasks.adjust_network.placed import covariances_of_points, placed_stations, true_places
 from metrocli.tasks.adjust_network.solve import AdjustedNetwork
 from metrocli.tasks.adjust_network.suspects import SuspectedReading
 from metrocli.tasks.adjust_network.unknowns import seen_points
-from metrocli.tasks.shared.joint_covariance import factors
 from metrocli.tasks.shared.lists import unless_without_noise
 from metrocli.tasks.shared.noise import JobNoise
 from metrocli.tasks.shared.statistics import (
@@ -40,8 +39,6 @@ from metrocli.tasks.shared.statistics import (
 )
 from metrocli.words import counted, listed
 
-_LARGEST_JOINT = 2000
-"""Most points whose joint covariance the result holds as one matrix"""
 _ONCE = 5
 
 
@@ -85,18 +82,14 @@ def report(solved: AdjustedNetwork, noise: JobNoise) -> Result:
 
 
 def _points(solved: AdjustedNetwork, solution: Solution) -> tuple[Table, dict[str, Array]]:
-    block, known = solution.blocks[t.POINT], solution.covariance_or_raise()
+    network, names = solved.network, np.array(solution.blocks[t.POINT].members)
     # a listed point that no reading concerns is no unknown: its uncertainty would be stated as 0
-    seen = seen_points(solved.network.readings)
-    each = known.members(t.POINT)[seen]
-    std = np.sqrt(np.maximum(np.einsum("mii->mi", each), 0.0))
-    table = Table.of({"point": np.array(block.members)[seen], "x y z [mm]": block.values[seen], "sx sy sz [mm]": std})
-    table = table.joined({"shots": _shots(solved)[seen]})
-    arrays = {"points_covariance": each, **factors(known, t.POINT, seen)}
-    if seen.sum() <= _LARGEST_JOINT:
-        rows = np.repeat(seen, 3)
-        arrays["points_joint_covariance"] = known.of(t.POINT)[np.ix_(rows, rows)]
-    return table, arrays
+    seen = seen_points(network.readings)
+    arrays = covariances_of_points(network, solution, seen)
+    std = np.sqrt(np.maximum(np.einsum("mii->mi", arrays["points_covariance"]), 0.0))
+    places = true_places(solution.blocks, network.effects)
+    table = Table.of({"point": names[seen], "x y z [mm]": places[seen], "sx sy sz [mm]": std})
+    return table.joined({"shots": _shots(solved)[seen]}), arrays
 
 
 def _shots(solved: AdjustedNetwork) -> Array:

@@ -25,11 +25,13 @@ from metrocli.simulation import Simulation
 from metrocli.table import Table
 from metrocli.tasks.adjust_network.groups import BARS, GIVEN_POINTS, HEIGHTS, LENGTHS, ROW, is_sighting
 from metrocli.tasks.adjust_network.noise import component
+from metrocli.tasks.adjust_network.placed import true_places
 from metrocli.tasks.adjust_network.problem import Network, build, weighed_at
 from metrocli.tasks.adjust_network.readings import read
 from metrocli.tasks.adjust_network.settings import INTERFEROMETER, Files, NetworkSimulation, Settings
 from metrocli.tasks.adjust_network.starts.agreement import NetworkStart
 from metrocli.tasks.shared.lists import listed_places
+from metrocli.words import listed
 
 _TILT = 0.02
 """Standard deviation of the tilt of a simulated tracker, about each axis [rad]"""
@@ -103,9 +105,10 @@ def true_network(
     place, n = stations.listed.copy(), len(stations.names)
     over = stations.over >= 0
     place[over] = readings.points.listed[stations.over[over]] + np.outer(stations.height[over], [0.0, 0.0, 1.0])
-    lost = [stations.names[i] for i in np.flatnonzero(np.isnan(place).any(axis=1))]
-    if lost:
-        raise InputError(f"simulate and plan need x, y, z of each station; these have none: {', '.join(lost)}")
+    every = {"point": (readings.points.names, readings.points.listed), "station": (stations.names, place)}
+    for what, (names, places) in every.items():
+        if lost := [names[i] for i in np.flatnonzero(np.isnan(places).any(axis=1))]:
+            raise InputError(f"simulate and plan need x, y, z of each {what}; these have none: {listed(lost)}")
     tilt = rng.normal(0.0, _TILT, (n, 2)) * ~readings.levelled[:, None]
     turn = np.where(np.isnan(stations.gamma), rng.uniform(-np.pi, np.pi, n), stations.gamma)
     for name, gamma in rolled.items():
@@ -113,7 +116,7 @@ def true_network(
         turn[stations.names.index(name)] = gamma
     pose = poses.pose_from_euler(place, np.column_stack([tilt, turn]))
     of_rounds = turn[readings.sightings.station_of_round]
-    network = build(settings, readings, NetworkStart(np.nan_to_num(readings.points.listed), pose, of_rounds))
+    network = build(settings, readings, NetworkStart(readings.points.listed, pose, of_rounds))
     blocks = dict(network.blocks)
     if t.TRACER in blocks:
         values = blocks[t.TRACER].values.copy()
@@ -162,22 +165,22 @@ def simulated(
     tables["points.csv"] = _list_of_points(
         network, files, read_, places, rng.normal(0.0, truth.point_error, places.shape)
     )
-    tables["true_points.csv"] = listed_places("point", names, places)
+    tables["true_points.csv"] = listed_places("point", names, true_places(model.blocks, model.added))
     return Simulation(tables, _truth(model) | true_values(model))
 
 
 def _list_of_points(network: Network, files: Files, read_: Mapping[str, Array], places: Array, errors: Array) -> Table:
     """Return the list of points at places (n, 3) mm: known coordinates as their sigmas state, others with `errors`."""
     known = np.isfinite(network.readings.points.sigma)
-    listed = places + np.where(known, 0.0, errors)
+    at = places + np.where(known, 0.0, errors)
     for axis in range(3):
         if (name := f"{GIVEN_POINTS} {'xyz'[axis]}") in read_:
             group = next(group for group in network.model.readings if group.name == name)
             # it reads the difference of the list from the truth
-            listed[group.observations.index[t.POINT].ravel(), axis] += read_[name].ravel()
+            at[group.observations.index[t.POINT].ravel(), axis] += read_[name].ravel()
     if not known.any() or not isinstance(files.points, Table):
-        return listed_places("point", network.readings.points.names, listed)
-    return files.points.changed(dict(zip("xyz", listed[: len(files.points)].T, strict=True)))
+        return listed_places("point", network.readings.points.names, at)
+    return files.points.changed(dict(zip("xyz", at[: len(files.points)].T, strict=True)))
 
 
 def _read(group: Group, model: Model, rng: np.random.Generator) -> Array:

@@ -47,6 +47,23 @@ def factors(covariance: Covariance, block: str, chosen: Mask) -> dict[str, Array
     return {} if common is None else {COMMON: common, CORE: covariance.factor * core}
 
 
+def factors_less(found: Mapping[str, Array], at: Array, by: Array, own: Array) -> dict[str, Array]:
+    """Return the factors of points from some of which errors are taken off; of an empty mapping an empty one.
+
+    `at` (3 points, k) selects the coordinates that the errors shift, `by` is the covariance of all coordinates with the
+    errors, and `own` (k, k) that of the errors: `-by at' - at by' + at own at'` is added.
+    """
+    if not found:
+        return {}
+    common, core = found[COMMON], found[CORE]
+    k, size = len(own), len(core)
+    more = np.zeros((size + 2 * k, size + 2 * k))
+    more[:size, :size] = core
+    more[size:, size:] = np.block([[np.zeros((k, k)), -np.eye(k)], [-np.eye(k), own]])
+    parts = [common, *(each.reshape(-1, 3, k) for each in (by, at))]
+    return {COMMON: np.concatenate(parts, axis=2), CORE: more}
+
+
 @dataclass(frozen=True)
 class JointInput:
     """An input whose errors are unknowns `z = K e` of a block, e ~ N(0, I): e is the same for all that use it."""

@@ -10,6 +10,9 @@ from typing import Any
 import numpy as np
 from simulated.network import SIZE
 
+from metrocli.formats import hdf5
+from metrocli.uncertainty.predicted import COMMON, CORE
+
 Metrocli = Callable[..., Any]
 ROUGH = 0.5
 """Standard deviation of the places without a sigma [mm]"""
@@ -22,6 +25,7 @@ datum: given
 simulation: {{point_error: {ROUGH} mm}}
 output: result.h5
 """
+TOTAL = "total-station"
 EFFECTS = ("given-point:point=P01,dx=0.3mm,dy=0mm,dz=-0.2mm", "given-point:point=P07,dx=0mm,dy=0.4mm,dz=0mm")
 
 
@@ -89,3 +93,66 @@ def test_a_wrong_exact_point_is_wrong_for_all_that_reads_it(tmp_path: Path, metr
         assert (ran.code == 0) == acts, ran.err
         for file in ("readings.csv", "heights.csv") if acts else ():
             assert (tmp_path / point / file).read_text() != (tmp_path / "true" / file).read_text()
+
+
+def test_a_wrong_exact_point_is_delivered_as_one_that_is_not_listed(tmp_path: Path, metrocli: Metrocli) -> None:
+    """What takes its list for wrong frees its place: points and stations, and what they share, are the same.
+
+    One station stands over it, another reads it, and three coordinates of a second point are unknown.
+    """
+    rng = np.random.default_rng(33)
+    places = rng.uniform(0, 1, (9, 3)) * SIZE
+    stands = np.array([[800, 700, 1200], [7000, 900, 1300], places[4] + [0, 0, 1500]])
+    rows = []
+    for name, stand in zip(("S0", "S1", "S2"), stands, strict=True):
+        for number, (x, y, z) in enumerate(places - stand):
+            if not (name == "S2" and number == 4):
+                angles = np.array([np.arctan2(y, x), np.arctan2(z, np.hypot(x, y))]) + rng.normal(0, 2e-6, 2)
+                distance = np.sqrt(x * x + y * y + z * z) + rng.normal(0, 0.005)
+                rows.append(f"{name},P{number},{angles[0]:.9f},{angles[1]:.9f},{distance:.6f}")
+    (tmp_path / "readings.csv").write_text("\n".join(["station,point,az_rad,el_rad,d_mm", *rows]) + "\n")
+    listing = ["station,instrument,over,height_mm,x_mm,y_mm,z_mm", "S0,A,,,800,700,1200", "S1,A,,,7000,900,1300"]
+    (tmp_path / "stations.csv").write_text("\n".join([*listing, "S2,A,P4,1500,,,"]) + "\n")
+    found = []
+    for name, sigma, effects in (("free", "", ""), ("wrong", "0", "effects: [{name: given-point, point: P4}]\n")):
+        listed = places + np.where(np.arange(9)[:, None] == 4, [0.3, 0.0, -0.2], 0.0)
+        sigmas = {4: sigma, 7: ""}
+        points = [f"P{i},{x:.6f},{y:.6f},{z:.6f},{sigmas.get(i, '0')}" for i, (x, y, z) in enumerate(listed)]
+        (tmp_path / f"{name}.csv").write_text("\n".join(["point,x_mm,y_mm,z_mm,sigma_mm", *points]) + "\n")
+        text = JOB.replace("{points: points", f"{{readings: readings.csv, points: {name}").replace("tracker", TOTAL)
+        (tmp_path / f"{name}.yaml").write_text(text.replace("result", name).replace("datum", effects + "datum"))
+        ran = metrocli("adjust-network", tmp_path / f"{name}.yaml")
+        assert ran.code == 0, ran.err
+        found.append(hdf5.read(tmp_path / f"{name}.h5")[0])
+    free, wrong = found
+    assert np.abs(wrong.tables["points"].stacked("xyz")[4] - places[4]).max() < 0.03
+    assert np.abs(wrong.tables["points"].stacked("xyz") - free.tables["points"].stacked("xyz")).max() < 1e-6
+    joint = free.arrays["points_joint_covariance"]
+    assert np.abs(wrong.arrays["points_joint_covariance"] - joint).max() < 1e-5 * joint.max()
+    for one, other in zip(wrong.arrays["points_covariance"], free.arrays["points_covariance"], strict=True):
+        assert np.abs(one - other).max() < 1e-5 * joint.max()
+    common, core = (wrong.arrays[name] for name in (COMMON, CORE))
+    assert np.abs(common[4] @ core @ common[7].T - joint[12:15, 21:24]).max() < 1e-5 * joint.max()
+    names = {one.name: one for one in free.estimates}
+    for one in wrong.estimates:
+        if one.name in names:
+            assert abs(one.value - names[one.name].value) < 1e-6
+            assert abs(one.std / names[one.name].std - 1) < 1e-4
+    assert sum(one.name.startswith("S2.") for one in wrong.estimates) >= 3
+
+
+def test_the_true_places_of_wrong_exact_points_are_not_those_of_the_list(tmp_path: Path, metrocli: Metrocli) -> None:
+    simulated(tmp_path, metrocli)
+    rows = {name: (tmp_path / name).read_text().splitlines() for name in ("points.csv", "new/true_points.csv")}
+    listed, true = (np.array([[float(x) for x in row.split(",")[1:4]] for row in each[1:]]) for each in rows.values())
+    off = listed - true
+    assert np.abs(off[1] - [0.3, 0, -0.2]).max() < 1e-6 and np.abs(np.delete(off, 1, axis=0)).max() < 1e-6
+
+
+def test_points_without_a_place_are_not_simulated_at_the_origin(tmp_path: Path, metrocli: Metrocli) -> None:
+    (tmp_path / "points.csv").write_text("point,x_mm,y_mm,z_mm\nP1,0,0,0\nP2,4000,0,0\nP3,0,3000,900\n")
+    (tmp_path / "stations.csv").write_text("station,instrument,x_mm,y_mm,z_mm\nS0,A,800,700,1200\n")
+    (tmp_path / "readings.csv").write_text("station,point,az_rad,el_rad,d_mm\nS0,P1,0,0,1\nS0,P9,0,0,1\n")
+    (tmp_path / "job.yaml").write_text(JOB.replace("inputs: {", "inputs: {readings: readings.csv, "))
+    ran = metrocli("simulate", tmp_path / "job.yaml", "--out", tmp_path / "new")
+    assert ran.code == 3 and "need x, y, z of each point; these have none: P9" in ran.err
