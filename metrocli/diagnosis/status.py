@@ -204,7 +204,7 @@ def _throughout(job: AdjustedJob, scatter: ScatterCandidate, word: str) -> dict[
     return entry | {
         "minimal_detectable": {"value": scatter.detectable, "unit": unit},
         "above": {"value": excluded_above(scatter), "unit": unit},
-        "hides": _hides(job, scatter.undetected),
+        "hides": None if word == Status.NAMED else _hides(job, scatter.undetected),
     }
 
 

@@ -145,3 +145,15 @@ def test_a_search_that_ended_early_excludes_no_scatter_and_no_wrong_reading() ->
         assert [entry["status"] for entry in candidates(job, design, found)] == [word] * 2
         for line in candidate_lines(job, design, found)[1:]:
             assert word in line and ("the search ended before this was decided" in line) is not decided
+
+
+def test_a_named_scatter_hides_nothing() -> None:
+    """It is in the model then, and changes no result unseen."""
+    job = launch.measurement(np.random.default_rng(7), True).adjusted()
+    effect = next(effect for effect in OF_LENGTHS if effect.throughout)
+    large = ScatterCandidate(effect, effect.plausible / 2, UndetectedBias(1.0))
+    design, found = Detectability((), (), (), (), (large,)), Conclusions(scattered=(effect.name,))
+    (entry,) = candidates(job, design, found)
+    assert entry["status"] == "named" and entry["hides"] is None
+    (line,) = candidate_lines(job, design, found)[1:]
+    assert line.split() == [effect.name, "everywhere", "named"]

@@ -109,6 +109,8 @@ def _status(word: str, sizes: Sequence[float], parameter: Parameter) -> str:
 def _of_scatter(adjusted: AdjustedJob, scatter: ScatterCandidate, word: str, unsearched: bool) -> tuple[str, ...]:
     if not scatter.testable:
         return scatter.effect.name, "everywhere", str(word), "", "", scatter.reason
+    if word == status.Status.NAMED:
+        return scatter.effect.name, "everywhere", word, "", "", ""
     message = "detectable" if unsearched and word == status.Status.EXCLUDED else str(word)
     size = scatter.detectable if message == "detectable" else status.excluded_above(scatter)
     message = _status(message, [size], scatter.effect.parameters[0])
