@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import cached_property
@@ -18,6 +19,8 @@ from metrocli.settings import Number, Spec, Text, WithUnit
 from metrocli.units import parse_quantity
 from metrocli.words import in_a_row
 
+_NUMBER = re.compile(r"(?<!\S)\d+(\.\d*)?(e[+-]?\d+)?(?!\S)")
+"""A number among the words of usual sizes; the 1 of a unit 1/mm is none"""
 ELAPSED, WARMING = "elapsed", "warming"
 """Conditions that effects vary with: time since the earliest reading [s], and temperature minus that of it [K]"""
 DRIVERS = {"t": ELAPSED, "T": WARMING}
@@ -228,10 +231,9 @@ class Effect:
         """Return the effect with usual and plausible sizes that are a factor larger."""
         if factor == 1:
             return self
-        scaled = (float(f"{float(word) * factor:.2g}") if word[0].isdigit() else word for word in self.usual.split())
-        words = [word if isinstance(word, str) else f"{word:g}" for word in scaled]
+        usual = _NUMBER.sub(lambda number: f"{float(f'{float(number[0]) * factor:.2g}'):g}", self.usual)
         parameters = tuple(replace(parameter, plausible=parameter.plausible * factor) for parameter in self.parameters)
-        return replace(self, usual=" ".join(words), parameters=parameters)
+        return replace(self, usual=usual, parameters=parameters)
 
     @cached_property
     def usual_sizes(self) -> tuple[float, float] | None:

@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 from simulated.network import NOISE, network
 
+from metrocli.effects.effect import Effect
 from metrocli.project.job import load
 from metrocli.project.runner import content
 from metrocli.tasks.adjust_network import usual
+from metrocli.tasks.adjust_network.effects import EFFECTS
 from metrocli.tasks.adjust_network.readings import read
 
 COARSE = "{azimuth: 5 arcsec, elevation: 5 arcsec, distance: {constant: 1 mm, proportional: 2 ppm}}"
@@ -51,3 +53,11 @@ def test_each_instrument_of_a_network_has_its_own(tmp_path: Path) -> None:
     assert found["station-moved", ("S1",)][1] == pytest.approx(1.0)
     assert found["station-moved", ("S2",)][1] == pytest.approx(100.0)
     assert found["point-moved", ()][1] == pytest.approx(100.0)
+
+
+@pytest.mark.parametrize("effect", [one for one in EFFECTS if one.usual], ids=lambda one: f"{one.name} {one.usual}")
+@pytest.mark.parametrize("factor", [3.0, 1e4, 1e7])
+def test_larger_sizes_are_read_as_they_are_written(effect: Effect, factor: float) -> None:
+    """Whatever the unit: that of a gradient begins with a digit."""
+    assert effect.usual_sizes is not None
+    assert effect.larger(factor).usual_sizes == pytest.approx([factor * size for size in effect.usual_sizes], rel=0.05)
