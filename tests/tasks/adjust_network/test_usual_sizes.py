@@ -61,3 +61,18 @@ def test_larger_sizes_are_read_as_they_are_written(effect: Effect, factor: float
     """Whatever the unit: that of a gradient begins with a digit."""
     assert effect.usual_sizes is not None
     assert effect.larger(factor).usual_sizes == pytest.approx([factor * size for size in effect.usual_sizes], rel=0.05)
+
+
+def test_sizes_follow_the_standard_deviations_of_the_readings_too(tmp_path: Path) -> None:
+    """They are declared in columns, for some of the instruments, instead of as its noise."""
+    sizes(tmp_path, {"A": NOISE, "B": NOISE})
+    path = tmp_path / "readings.csv"
+    head, *rows = path.read_text().splitlines()
+    columns = "sigma_az_urad,sigma_el_urad,sigma_d_mm"
+    lines = [f"{row},{'25,25,1' if row.startswith('S2') else ',,'}" for row in rows]
+    path.write_text("\n".join([f"{head},{columns}", *lines]) + "\n")
+    asked = content(load(next(tmp_path.glob("*.yaml"))))
+    found = {(one.name, one.among): one.usual_sizes for one in usual.effects(read(asked.settings, asked.files))}
+    assert found["tracker-range-zero", ("A",)] == pytest.approx((0.005, 0.1))
+    assert found["tracker-range-zero", ("B",)] == pytest.approx((0.5, 10.0))
+    assert found["tracker-beam-offset", ("B",)] == pytest.approx((0.05, 2.0))
