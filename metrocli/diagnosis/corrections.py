@@ -137,7 +137,11 @@ def _other_units(table: Table, names: Sequence[str]) -> Iterator[tuple[float, st
                 yield factor, f"{verb} in {symbol}", _in_heading(names, symbol)
         return
     per_metre, per_centimetre = (find_unit(symbol, "length").inside(1.0) for symbol in ("m", "cm"))
-    for factor in (per_metre, 1 / per_metre, INCH, 1 / INCH, per_centimetre, 1 / per_centimetre):
+    foot = find_unit("ft", "length").inside(1.0)
+    # under a heading in mm or larger: numbers in feet; under one in feet: numbers in metres or mm
+    feet = (foot / read,) if read != foot else (per_metre / foot, 1 / foot)
+    usual = (per_metre, 1 / per_metre, INCH, 1 / INCH, per_centimetre, 1 / per_centimetre)
+    for factor in (*usual, *(feet if read >= 1 else ())):
         lengths = DIMENSIONS["length"].units
         meant = next((unit.symbol for unit in lengths if _alike(unit.times / unit.over, factor * read)), "")
         off = {INCH: "in inches", 1 / INCH: "divided by 25.4"}.get(factor, f"off by a factor {factor:g}")

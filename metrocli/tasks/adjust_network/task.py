@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -27,6 +28,9 @@ from metrocli.tasks.adjust_network.unknowns import seen_points
 from metrocli.tasks.job import Job, Task
 from metrocli.tasks.shared.noise import weighed
 
+if TYPE_CHECKING:
+    from metrocli.tasks.job import Adjustment
+
 
 def _network(job: Job[Settings, Files]) -> Network:
     readings = read(job.settings, job.files)
@@ -44,8 +48,16 @@ def _solved(job: Job[Settings, Files], remove: bool) -> tuple[AdjustedNetwork, f
 
 def run(job: Job[Settings, Files]) -> Result:
     """Return points and stations; raises InputError, UndeterminedError or NotConvergedError."""
-    solved, factor = _solved(job, job.settings.outliers == "remove")
-    return report(solved, noise_of(solved, job.settings.noise, factor))
+    return with_adjustment(job)[0]
+
+
+def with_adjustment(job: Job[Settings, Files]) -> tuple[Result, Adjustment | None]:
+    """Return the result of `run`, and what gives its adjustment for a comparison where no reading was removed."""
+    removes = job.settings.outliers == "remove"
+    solved, factor = _solved(job, removes)
+    # what was removed no longer contradicts the files
+    adjustment = None if removes else partial(adjusted_job, solved)
+    return report(solved, noise_of(solved, job.settings.noise, factor)), adjustment
 
 
 def check(job: Job[Settings, Files]) -> None:
@@ -84,6 +96,7 @@ TASK = Task(
     EFFECTS,
     PLACES,
     covariates,
+    with_adjustment=with_adjustment,
     other_settings=other_settings,
     cleared=partial(diagnosed, remove=True),
 )

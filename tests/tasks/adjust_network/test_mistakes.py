@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from simulated.network import Network, network, polar
+from simulated.network import NOISE, Network, network, polar
 
 from metrocli.diagnosis.adjusted_job import AdjustedJob, Misfit
 from metrocli.diagnosis.corrections import Mistake
@@ -389,6 +389,23 @@ def test_horizontal_distances_are_named(tmp_path: Path, metrocli: Metrocli) -> N
     level[:, 2] = np.cos(net.seen[:, 1])
     ran = metrocli("adjust-network", replace(net, seen=net.seen * level).write(tmp_path))
     assert ran.code == 3 and "d is a horizontal distance: with this corrected" in ran.err, ran.err
+
+
+def test_a_mistake_at_one_station_that_leaves_most_readings_plausible_is_named(
+    tmp_path: Path, metrocli: Metrocli
+) -> None:
+    rough = "{azimuth: 800 urad, elevation: 800 urad, lateral: 1.6 mm, distance: {constant: 0.8 mm, proportional: 0.12 mm/m}}"
+    net = network(np.random.default_rng(76), 4, 11, levelled=True, noise=400.0)
+    seen = net.seen.copy()
+    here = net.station == 2
+    seen[here, 2] *= np.cos(seen[here, 1])
+    for one, code in ((net, 0), (replace(net, seen=seen), 6)):
+        job = one.write(tmp_path)
+        job.write_text(job.read_text().replace(NOISE, rough))
+        ran = metrocli("adjust-network", job, "--force")
+        assert ran.code == code, ran.err
+    assert "d is a horizontal distance at station S3: with this corrected, the squared residuals are" in ran.out
+    assert "write d over the sine of the zenith distance at station S3" in ran.out
 
 
 def test_minutes_and_seconds_as_decimals_are_named(tmp_path: Path, metrocli: Metrocli) -> None:

@@ -99,9 +99,12 @@ def test_nothing_is_named_without_a_cause(tmp_path: Path, metrocli: Metrocli) ->
     assert json.loads(metrocli("diagnose", written(tmp_path, np.copy), "--json").out)["verdict"] == "clean"
 
 
-def test_a_list_in_inches_is_a_mistake_of_a_file(tmp_path: Path, metrocli: Metrocli) -> None:
-    ran = metrocli("diagnose", written(tmp_path, np.copy, lambda measured: measured / 25.4))
-    assert "verdict: mistaken" in ran.out and "in inches" in ran.out
+@pytest.mark.parametrize(("size", "words"), [(25.4, "in inches"), (304.8, "are in ft")])
+def test_a_list_in_another_unit_is_a_mistake_of_a_file(
+    size: float, words: str, tmp_path: Path, metrocli: Metrocli
+) -> None:
+    ran = metrocli("diagnose", written(tmp_path, np.copy, lambda measured: measured / size))
+    assert "verdict: mistaken" in ran.out and words in ran.out
 
 
 def test_features_alone_have_nothing_to_diagnose(tmp_path: Path, metrocli: Metrocli) -> None:
