@@ -20,7 +20,7 @@ from metrocli.units import parse_quantity
 from metrocli.words import in_a_row
 
 _NUMBER = re.compile(r"(?<!\S)\d+(\.\d*)?(e[+-]?\d+)?(?!\S)")
-"""A number among the words of usual sizes; the 1 of a unit 1/mm is none"""
+"""A number among the words of usual sizes; the 1 of the unit 1/mm is not one"""
 ELAPSED, WARMING = "elapsed", "warming"
 """Conditions that effects vary with: time since the earliest reading [s], and temperature minus that of it [K]"""
 DRIVERS = {"t": ELAPSED, "T": WARMING}

@@ -53,7 +53,7 @@ def of_instrument(effect: Effect, instrument: NetworkInstrument) -> Effect:
 
 
 def _sigma(readings: NetworkReadings, stations: Sequence[int] | Index) -> Array:
-    """Return the median standard deviations (3,) in columns of what some stations read, nan where there is none."""
+    """Return the median standard deviations (3,) in columns of what some stations read, nan without any."""
     seen = readings.sightings
     rows = seen.sigma[:, np.isin(seen.station, stations)]
     given = [row[np.isfinite(row)] for row in rows]
