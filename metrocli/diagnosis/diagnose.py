@@ -13,11 +13,12 @@ import numpy as np
 
 from metrocli.adjust.clusters.robust import STRUCTURED
 from metrocli.diagnosis.adjusted_job import AdjustedJob, Budget, Ordered
+from metrocli.diagnosis.confirmation import with_confirmed, with_confirmed_effects
 from metrocli.diagnosis.correlated_error import CorrelatedError
 from metrocli.diagnosis.detectability import Detectability, design
-from metrocli.diagnosis.evidence.folds import gain_between, gain_of_parts, gains, least_sure, with_jackknife
+from metrocli.diagnosis.evidence.folds import gain_between, gain_of_parts
 from metrocli.diagnosis.evidence.gain import Gain
-from metrocli.diagnosis.evidence.identified import IdentifiedEffect, all_identified, identified
+from metrocli.diagnosis.evidence.identified import IdentifiedEffect, identified
 from metrocli.diagnosis.evidence.measured_job import measurement_of
 from metrocli.diagnosis.evidence.parts import SCATTER, Fixed, Random
 from metrocli.diagnosis.evidence.prices import LEVEL
@@ -29,7 +30,6 @@ from metrocli.diagnosis.explanations import (
     noise_instead,
     random_effects,
     smooth,
-    with_confirmed,
     with_joint_rivals,
 )
 from metrocli.diagnosis.extended_fit import extended_fit, linear_change, readings_kept, result_changes, sizes
@@ -86,7 +86,7 @@ def diagnose(
             progress.doing("looking for a law in what no effect explains", job.budget.left())
             state, laws = with_laws(state, _in_white_noise(state), ordered)
     progress.doing("cross-validating: predicting parts of the readings from the others", job.budget.left())
-    state, names, gained, unconfirmed = _confirmed(state, ordered, quick)
+    state, names, gained, unconfirmed = with_confirmed_effects(state, ordered, quick)
     names = names if quick else with_joint_rivals(state, names)
     kept = readings_kept(state.measurement, state.readings)
     # the job of the first round: in that of the last one, effects on its own blocks stand at a fixed size
@@ -124,32 +124,6 @@ def diagnose(
     )
 
 
-def _confirmed(
-    state: State, ordered: Ordered, quick: bool
-) -> tuple[State, tuple[IdentifiedEffect, ...], list[Gain], tuple[Unconfirmed, ...]]:
-    """Return the state without what held-out readings speak against, its effects with their gains, and what it lost.
-
-    The log score of held-out readings and the net evidence of all are logarithms of odds: an effect stays while their
-    sum, or in a quick diagnosis the score, is positive. Effects whose sizes may be nothing leave one by one.
-    """
-    lost: list[Unconfirmed] = []
-    while True:
-        names = all_identified(state) if quick else with_jackknife(state, all_identified(state))
-        gained = gains(state, names, ordered, nested=not quick) if names else []
-        judged = list(zip(state.named, names, gained, strict=False))
-        nets = dict(zip((part.key for part in state.fixed), state.without_fixed().tolist(), strict=True))
-        against = [effect for effect in judged if effect[2].log_score + (0.0 if quick else nets[effect[0].key]) <= 0]
-        unsure = None if against else least_sure(state, names, {e[0].key for e in judged if not e[2].shown})
-        against = against or [effect for effect in judged if effect[0] is unsure]
-        if not against:
-            return state, names, gained, tuple(lost)
-        lost += [
-            Unconfirmed(str(name.alternative), gain.log_score, None if unsure is None else name.level_of_size)
-            for _, name, gain in against
-        ]
-        state = state.minus([part for part, _, _ in against])
-
-
 def _in_white_noise(state: State) -> State:
     """Return the identified effects and wrong readings of a state beside white noise, as the job declares it.
 
@@ -165,6 +139,8 @@ def _in_white_noise(state: State) -> State:
 
 def strongest(state: State) -> float:
     """Return the level of the strongest candidate beside a state, counted over all."""
+    # what held-out readings do not confirm is something all the same
+    state = replace(state, measurement=state.measurement.refuting(()), cache={})
     # a net of 0 is just at the level, and one of -_LEVEL at the level 1: none counts as less
     gain, price, _ = state.gains_of_readings()
     of_families = map(state.nets, range(len(state.measurement.families)))

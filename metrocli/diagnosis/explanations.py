@@ -11,7 +11,6 @@ from dataclasses import replace
 import numpy as np
 
 from metrocli.adjust.model.observations import Mask
-from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.correlated_error import CorrelatedError
 from metrocli.diagnosis.evidence import variances
 from metrocli.diagnosis.evidence.folds import gain_of_parts
@@ -25,11 +24,10 @@ from metrocli.diagnosis.evidence.search import forward
 from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.evidence.weights import tried_noise
 from metrocli.diagnosis.extended_fit import readings_kept, result_change, with_random_effect
-from metrocli.diagnosis.findings import DEPENDS_ON, OF_EACH, Instead, RandomEffect, Unconfirmed
+from metrocli.diagnosis.findings import DEPENDS_ON, OF_EACH, Instead, RandomEffect
 from metrocli.diagnosis.linear.distributions import log_family
 from metrocli.diagnosis.linear.projection import READING
 from metrocli.diagnosis.noise import AS_OTHERS, DECLARED_SIGMA
-from metrocli.diagnosis.rounds import searched_from
 from metrocli.effects.correlated import NAME as CORRELATED_ERROR
 from metrocli.effects.effect import Effect
 
@@ -198,33 +196,7 @@ def _visible(state: State, part: Random) -> float:
     return float(np.sqrt(max(1 - inside / max(whole, 1e-300), 0.0)))
 
 
-def with_confirmed(job: AdjustedJob, state: State, quick: bool = False) -> tuple[State, list[Unconfirmed]]:
-    """Return the state without the effects at all their places that held-out readings do not confirm, and these.
-
-    The search goes on without them: the cause that they stood for may be one that the readings confirm.
-    """
-    lost, gone = list[Unconfirmed](), list[Random]()
-    while against := not_confirmed(state):
-        parts = [part for part, _ in against]
-        lost, gone = [*lost, *(what for _, what in against)], [*gone, *parts]
-        state = searched_from(job, state.minus(parts), quick, gone)
-    return state, lost
-
-
-def not_confirmed(state: State) -> list[tuple[Random, Unconfirmed]]:
-    """Return the effects at all their places that held-out readings do not confirm.
-
-    A smooth one fits whatever readings share, so that its gain has to be shown.
-    """
-    lost: list[tuple[Random, Unconfirmed]] = []
-    for part in (part for part in state.random if part.kind == SCATTER):
-        gain, effect = gain_of_parts(state, [part]), _effect_of(state, part)
-        if not (gain.shown if effect.is_smooth else gain.log_score > 0):
-            lost.append((part, Unconfirmed(f"{effect.name} {effect.everywhere}", gain.log_score)))
-    return lost
-
-
-def _effect_of(state: State, part: Random) -> Effect:
+def effect_of(state: State, part: Random) -> Effect:
     """Return the effect that acts at all its places by a random part of a state."""
     return state.measurement.scatters[part.key[0]][0].effect
 
@@ -260,4 +232,4 @@ def _joint_rivals(state: State, name: IdentifiedEffect) -> Iterator[Rival]:
 
 def smooth(state: State) -> list[int]:
     """Return the numbers of the random parts of a state that are smooth effects."""
-    return [j for j, part in enumerate(state.random) if part.kind == SCATTER and _effect_of(state, part).is_smooth]
+    return [j for j, part in enumerate(state.random) if part.kind == SCATTER and effect_of(state, part).is_smooth]

@@ -51,6 +51,7 @@ INSIDE = {
     "diagnosis": [
         {"verdict", "job_entries", "next_readings"},
         {"diagnose"},
+        {"confirmation"},
         {"explanations"},
         {"findings"},
         {"laws"},

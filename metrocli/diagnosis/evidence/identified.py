@@ -198,12 +198,13 @@ def _rivals(less: State, part: Fixed, values: Array, variance: float) -> tuple[t
         cosine2 = np.clip(quadratic(gram, along, family.raw)[0] / shown, 0.0, 1.0)
         odds = gain - m.prices.of_ranks(number, rank) - mine
         # a term of a lens bends: about its own solution it may explain more
-        of_own = {at: ahead for (of, at), ahead in part.rivals if of == number}
+        of_own = {at: ahead for (of, at), ahead in part.rivals if of == number and np.isfinite(odds[at])}
         for at, ahead in of_own.items():
             odds[at] = max(odds[at], ahead)
         elsewhere = (at for at in np.argsort(-odds).tolist() if family.alternatives[at].spot not in {*taken, own.spot})
         second = max(second, float(odds[next(elsewhere, [])].max(initial=-np.inf)))
-        as_well = np.flatnonzero((gain > _SHOWS) & explains_as_well(odds, cosine2, t / variance)).tolist()
+        possible = (gain > _SHOWS) & np.isfinite(odds)
+        as_well = np.flatnonzero(possible & explains_as_well(odds, cosine2, t / variance)).tolist()
         for at in sorted({*as_well, *of_own}):
             other = family.alternatives[at]
             if other.form == own.form or (other.spot != own.spot and other.spot in taken):

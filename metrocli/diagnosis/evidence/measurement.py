@@ -5,7 +5,7 @@ Method: docs/algorithms/evidence.md.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import field, replace
 from functools import cached_property
 
@@ -205,6 +205,14 @@ class Measurement:
         if key not in cache:
             cache[key] = self.families[family].columns.grams(self.system.basis.of_members)
         return cache[key]
+
+    def refuting(self, effects: Collection[tuple[str, tuple[str, ...]]]) -> Measurement:
+        """Return the measurement in which nothing names some effects, by cause and place, any more."""
+        masks = [np.array([one.spot in effects for one in family.alternatives]) for family in self.families]
+        refuted = {number: mask for number, mask in enumerate(masks) if mask.any()}
+        prices = replace(self.prices, refuted=refuted)
+        bare = self.unweighted and replace(self.unweighted, prices=prices)
+        return replace(self, prices=prices, unweighted=bare)
 
     def effect(self, family: int, number: int) -> Fixed:
         """Return an effect at a place as fixed columns."""

@@ -5,12 +5,13 @@ Method: docs/algorithms/evidence.md.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import field
 
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
+from metrocli.adjust.model.observations import Mask
 from metrocli.diagnosis.linear.candidates import CandidateGroup
 from metrocli.diagnosis.linear.counting import effective_number_of_tests, of_some_members, smallest_of_family
 from metrocli.diagnosis.linear.distributions import critical, log_family, single_level
@@ -61,6 +62,8 @@ class Prices:
     """Effective number of causes: each has an equal share of the level"""
     dof: float
     cache: dict[tuple[int, int], float] = field(default_factory=dict, compare=False, repr=False)
+    refuted: Mapping[int, Mask] = field(default_factory=dict)
+    """Of some families, the alternatives that held-out readings speak against: no evidence pays for them"""
 
     def of_columns(self, family: int, rank: int) -> float:
         """Return the gain at which the F test of a family has the level of all: about ln(tests) + 0.5, at any rank."""
@@ -77,7 +80,7 @@ class Prices:
         prices = np.zeros(len(ranks))
         for rank in np.unique(ranks[ranks > 0]).tolist():
             prices[ranks == rank] = self.of_columns(family, int(rank))
-        return prices
+        return np.where(self.refuted[family], np.inf, prices) if family in self.refuted else prices
 
 
 def price_of_variance(tests: float) -> float:

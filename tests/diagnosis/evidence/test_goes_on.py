@@ -9,6 +9,7 @@ import pytest
 
 from benchmarks.hidden import images
 from benchmarks.hidden.scenes import board_scene
+from metrocli.diagnosis.confirmation import not_confirmed, with_confirmed, with_confirmed_effects
 from metrocli.diagnosis.evidence.identified import identified
 from metrocli.diagnosis.evidence.measured_job import measurement_of
 from metrocli.diagnosis.evidence.moves import Move
@@ -16,7 +17,6 @@ from metrocli.diagnosis.evidence.parts import CORRELATED, EFFECT, SCATTER
 from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.evidence.variances import Found, scattered_effects
 from metrocli.diagnosis.evidence.weights import with_noise
-from metrocli.diagnosis.explanations import not_confirmed, with_confirmed
 from metrocli.diagnosis.rounds import _terms_instead, _with_rivals
 from tests.diagnosis.evidence.test_dense import with_residual
 
@@ -38,6 +38,24 @@ def test_the_cause_that_an_unconfirmed_shape_stood_for_is_named(seed: int) -> No
     state, lost = with_confirmed(job, begin)
     assert lost[0] == against and all(one.kind != SCATTER for one in state.random)
     assert [state.measurement.alternative(one.key).effect.name for one in state.named] == ["axis-skew"]
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_the_cause_beside_an_effect_that_held_out_readings_refute_is_named(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    m = measurement_of(images.read(board_scene(rng, 10, (6, 5)), rng).adjusted())
+    numbers = {family.alternatives[0].effect.name: number for number, family in enumerate(m.families)}
+    prism, skew = (m.effect(numbers[name], 0).columns[:, 0] for name in ("thin-prism", "axis-skew"))
+    # a skew of all images, and a prism of a few: those that are held out do not have it
+    few = np.isin(m.system.basis.member, [0, 1])
+    drawn = with_residual(m, rng.normal(size=m.system.rows) + 25 * skew + 8 * prism * few)
+    begin = State.of(drawn, [drawn.effect(numbers["thin-prism"], 0)])
+    state, names, gained, lost = with_confirmed_effects(begin, map, quick=False)
+    assert "axis-skew" in [one.alternative.effect.name for one in names]
+    assert gained[0].log_score > 0
+    assert [one.name for one in lost] == ["thin-prism"]
+    # what was refuted is no rival of anything; one whose size may be nothing beside the other is still
+    assert (numbers["thin-prism"] in state.measurement.prices.refuted) == (lost[0].size_level is None)
 
 
 def test_a_part_that_leaves_and_enters_again_has_the_same_columns() -> None:

@@ -6,8 +6,9 @@ import numpy as np
 
 from benchmarks.hidden import images
 from benchmarks.hidden.scenes import board_scene, part_scene
+from metrocli.diagnosis.confirmation import with_confirmed_effects
 from metrocli.diagnosis.detectability import design
-from metrocli.diagnosis.diagnose import _confirmed, _left
+from metrocli.diagnosis.diagnose import _left
 from metrocli.diagnosis.evidence.folds import surely
 from metrocli.diagnosis.evidence.identified import all_identified
 from metrocli.diagnosis.evidence.measured_job import measurement_of
@@ -60,7 +61,7 @@ def test_a_size_within_the_scatter_of_the_images_that_no_gain_shows_is_not_confi
     state = State.of(drawn, [drawn.effect(skew, 0)], [], [], 0)
     before = all_identified(state)
     assert before[0].level_of_size < 1e-5
-    left, names, _, lost = _confirmed(state, map, quick=False)
+    left, names, _, lost = with_confirmed_effects(state, map, quick=False)
     assert not left.named and not names
     assert lost[0].name == "axis-skew" and lost[0].size_level is not None and lost[0].size_level > 0.05
     # the set is not clean: what is seen and not named is left
